@@ -130,6 +130,7 @@ def test_studies_have_names_of_their_own_in_the_order_of_the_paper():
     [
         (["--only", "nonsense"], "no study 'nonsense'"),
         (["--scenes", "missing.blend"], "no such file"),
+        (["--scenes", __file__], "is not a .blend file"),
         (["--seed", "-1"], "--seed -1"),
     ],
 )

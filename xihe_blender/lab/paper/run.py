@@ -12,6 +12,7 @@ import functools
 import hashlib
 import importlib
 import inspect
+import json
 import os
 import pkgutil
 import platform
@@ -24,14 +25,14 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import Json, as_json, from_json
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.paper import studies
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, StudyResult
 from xihe_blender.lab.paper.report import paper_markdown, report_page
-from xihe_blender.lab.paper.sessions import QUICK_WALK, WalkSettings, recorded_session, scene_files
+from xihe_blender.lab.paper.sessions import QUICK_WALK, WalkSettings, planned_walk, recorded_session, scene_files
 from xihe_blender.report.document import write_document
 from xihenet import __version__
 
@@ -100,8 +101,8 @@ def chosen_studies(only: Sequence[str]) -> list[Study]:
 def evaluate_paper(out: Path, settings: PaperSettings, command: str = "") -> Job[list[StudyResult]]:
     """A job: measure what is not measured yet, and write tables and report; the results of all studies there are.
 
-    UserError, before anything is rendered, for an unknown study, a scene that is not there, a seed out of range, or a
-    folder that holds something else. A study that cannot be measured is in the results with its reason.
+    UserError, before anything is rendered, for an unknown study, a scene of the user's that cannot be run, a seed out of range,
+    or a folder that holds something else. A study that cannot be measured is in the results with its reason.
     """
     chosen = chosen_studies(settings.only)
     if not 0 <= settings.seed <= MAX_SEED:
@@ -110,27 +111,25 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str = "") -> Job
     hashes = {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     walk = QUICK_WALK if settings.quick else WalkSettings()
     outputs = PaperOutputs(out)
+    needs_rooms = any(study.needs_rooms for study in chosen)
+    for file in settings.scenes if needs_rooms else ():
+        planned_walk(file, walk, settings.seed)
     decides = {"xihe": __version__, "scenes": hashes, "settings": {"quick": settings.quick, "seed": settings.seed}}
     FolderManifest(out, out / "settings.json", "an evaluation of the paper", decides, (outputs.report,)).take()
     sessions = []
-    needs_rooms = any(study.needs_rooms for study in chosen)
     for number, file in enumerate(files if needs_rooms else ()):
         job = recorded_session(file, outputs.session(file.stem), walk, settings.seed)
         share = SHARE_OF_RECORDING / len(files)
         sessions.append((yield from part_of(1, number * share, share, job, file.stem)))
-    made_from = json_of_inputs(decides, walk)
-    yield from measure_studies(chosen, sessions, outputs, settings, made_from)
-    kept = {study.name: kept_result(outputs, study, made_from) for study in all_studies()}
+    inputs = json.dumps([decides, asdict(walk)])
+    yield from measure_studies(chosen, sessions, outputs, settings, inputs)
+    kept = {study.name: kept_result(outputs, study, inputs) for study in all_studies()}
     results = [one for one in kept.values() if one is not None]
     write_document(outputs.report, report_page(all_studies(), results, outputs.pictures, command))
     if settings.document is not None:
         write_document(settings.document, paper_markdown(all_studies(), results, command))
     yield Progress(1, 1, "measured and written")
     return results
-
-
-def json_of_inputs(decides: Json, walk: WalkSettings) -> str:
-    return repr((decides, asdict(walk)))
 
 
 def measure_studies(

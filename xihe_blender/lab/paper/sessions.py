@@ -7,8 +7,9 @@ light at places that the walk shows: its virtual objects first, then above upwar
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,12 @@ from xihenet.exr import read_exr
 from xihenet.json_files import read_json
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.session_score import score_places
+
+if TYPE_CHECKING:
+    import bpy
+
+    from xihe_blender.previs.plan import PrevisPlan
+    from xihe_blender.previs.settings import PrevisSettings
 
 SCENES = Path(__file__).parents[3] / "blend_scenes"
 QUICK = ("living_room", "bedroom_night", "walk_around", "light_temperature", "light_intensity")
@@ -70,49 +77,62 @@ def _is_whole(facts: Json) -> bool:
     return isinstance(facts, dict) and {"positions_m", "names", "is_steady", "exposure", "capture_change"} <= set(facts)
 
 
-def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json]:
-    from xihe_blender.light_transport.render_reuse import plan_render_reuse
+def planned_walk(
+    file: Path, walk: WalkSettings, seed: int
+) -> tuple[bpy.types.Scene, PrevisPlan, PrevisSettings, tuple[int, ...]]:
+    """The opened scene, the plan of all of its path, and the frames of it that are recorded; UserError as of a run."""
     from xihe_blender.previs.captured_path import path_plan
     from xihe_blender.previs.plan import evenly_chosen, plan_previs
-    from xihe_blender.previs.record import RecordWishes, record_session
     from xihe_blender.previs.settings import PrevisSettings
-    from xihe_blender.previs.survey import survey_path
     from xihe_blender.scene.blend_file import open_blend
     from xihe_blender.scene.virtual_objects import virtual_objects
 
     scene = open_blend(file)
     settings = PrevisSettings(preset=walk.preset, size=walk.size, seed=seed)
-    has_objects = bool(virtual_objects(scene))
-    plan = plan_previs(scene, settings) if has_objects else path_plan(scene, settings)[1]
+    plan = plan_previs(scene, settings) if virtual_objects(scene) else path_plan(scene, settings)[1]
     frames = tuple(evenly_chosen(list(plan.frames), walk.n_frames))
-    settings = PrevisSettings(preset=walk.preset, size=walk.size, seed=seed, frames=frames)
-    survey = survey_path(scene, plan)
-    names = {frame: tuple(probe.name for probe in plan.probes) or ("room",) for frame in frames}
-    moved = {frame: survey.frames[frame].moved for frame in frames}
-    probes = plan_render_reuse({f: survey.frames[f].state for f in frames}, names, moved).probes
-    is_steady = all(made_in == frames[0] for made_in in probes.values())
-    record = record_session(scene, folder, settings, RecordWishes(), blend_file=file)
-    yield from part_of(2, 0, 1, record)
-    objects = {probe.name: probe.at(frames[0]) for probe in plan.probes}
-    found = score_places([one.read() for one in open_capture(folder).frames], max(0, walk.n_places - len(objects)))
-    places = objects | {f"place_{k}": place_m for k, place_m in enumerate(found)}
+    return scene, plan, replace(settings, frames=frames), frames
+
+
+def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json]:
+    from xihe_blender.previs.record import RecordWishes, record_session
+    from xihe_blender.scene.blend_file import open_blend
+
+    scene, plan, settings, frames = planned_walk(file, walk, seed)
+    is_steady = _is_steady(scene, plan, frames)
+    yield from part_of(2, 0, 1, record_session(scene, folder, settings, RecordWishes(), blend_file=file))
+    capture = open_capture(folder)
+    places = {probe.name: probe.at(frames[0]) for probe in plan.probes}
+    found = score_places([one.read() for one in capture.frames], max(0, walk.n_places - len(places)))
+    places |= {f"place_{k}": place_m for k, place_m in enumerate(found)}
     if not places:
         raise UserError(f"{file}: the walk shows no surface and no virtual object where light could be asked for")
     positions_m = [(float(x), float(y), float(z)) for x, y, z in places.values()]
     if is_steady:
-        scene = open_blend(file)
         wishes = RecordWishes(has_truth=True, at_m=positions_m)
-        yield from part_of(2, 1, 1, record_session(scene, folder, settings, wishes, blend_file=file))
+        yield from part_of(2, 1, 1, record_session(open_blend(file), folder, settings, wishes, blend_file=file))
     noise = kept_json(folder / "work" / "sample_count.json", dict) or {}
     facts = {
         "positions_m": positions_m,
         "names": list(places),
         "is_steady": is_steady,
-        "exposure": open_capture(folder).reference_exposure,
+        "exposure": capture.reference_exposure,
         "capture_change": noise.get("capture_change"),
     }
     write_json(folder / FACTS_FILE, facts)
     return facts
+
+
+def _is_steady(scene: bpy.types.Scene, plan: PrevisPlan, frames: Sequence[int]) -> bool:
+    """Whether light and room stay the same, and the virtual objects stay where they are."""
+    from xihe_blender.light_transport.render_reuse import plan_render_reuse
+    from xihe_blender.previs.survey import survey_path
+
+    survey = survey_path(scene, plan)
+    names = {frame: tuple(probe.name for probe in plan.probes) or ("room",) for frame in frames}
+    moved = {frame: survey.frames[frame].moved for frame in frames}
+    reuse = plan_render_reuse({frame: survey.frames[frame].state for frame in frames}, names, moved)
+    return all(made_in == frames[0] for made_in in reuse.probes.values())
 
 
 def load_session(file: Path | None, folder: Path, facts: Json) -> Session:
