@@ -38,6 +38,7 @@ from xihenet import __version__
 
 SHARE_OF_RECORDING = 0.4
 MAX_SEED = 2**31 - 1
+EXTRAS = {"tornado": "edge"}
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,8 @@ def chosen_studies(only: Sequence[str]) -> list[Study]:
 def evaluate_paper(out: Path, settings: PaperSettings, command: str = "") -> Job[list[StudyResult]]:
     """A job: measure what is not measured yet, and write tables and report; the results of all studies there are.
 
-    UserError, before anything is rendered, for an unknown study, a scene of the user's that cannot be run, a seed out of range,
-    or a folder that holds something else. A study that cannot be measured is in the results with its reason.
+    UserError, before anything is rendered, for an unknown study, a scene of the user's that cannot be run, a seed
+    out of range, or a folder that holds something else. A study that cannot be measured gives its reason as its result.
     """
     chosen = chosen_studies(settings.only)
     if not 0 <= settings.seed <= MAX_SEED:
@@ -149,7 +150,7 @@ def measure_studies(
                     rows.append(row)
                     yield Progress(done, 1, f"{study.title}: {row.what}")
             except (UserError, ImportError) as error:
-                failed = " ".join(str(error).split())
+                failed = _why(error)
             today, elapsed_s = datetime.date.today().isoformat(), time.perf_counter() - start
             result = StudyResult(
                 study.name, _made_from(study, inputs), today, elapsed_s, machine_words(), tuple(rows), failed
@@ -157,6 +158,11 @@ def measure_studies(
             write_json(outputs.result(study.name), as_json(result))
         if result.rows:
             write_csv(outputs.table(study.name), [asdict(row) for row in result.rows], [f.name for f in fields(Row)])
+
+
+def _why(error: Exception) -> str:
+    extra = EXTRAS.get(getattr(error, "name", None) or "")
+    return f"it needs a package: pip install 'xihe-blender[{extra}]'" if extra else " ".join(str(error).split())
 
 
 def kept_result(outputs: PaperOutputs, study: Study, inputs: str) -> StudyResult | None:
