@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xihenet.formats import format_count
 from xihenet.paired import expanded_tail
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
@@ -214,6 +215,11 @@ def measured(
     tail, value = expanded_tail(n_drawn), float(statistic(rows))
     low, high = np.quantile(values, [tail, 1 - tail])
     return Measured(value, min(float(low), value), max(float(high), value), len(rows))
+
+
+def of_rooms(what: str, rooms: Sequence[str]) -> str:
+    """Words for the cases of a row: "views of 5 rooms"."""
+    return f"{what} of {format_count(len(set(rooms)), 'room')}"
 
 
 def counted(value: float, n: int = 1) -> Measured:

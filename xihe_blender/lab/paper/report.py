@@ -13,7 +13,7 @@ from pathlib import Path
 
 from xihe_blender.lab.paper.records import Row, Study, StudyResult, Work
 from xihe_blender.report.document import block, document, png_url, table
-from xihe_blender.report.values import escape
+from xihe_blender.report.values import code, escape
 from xihenet import svg
 from xihenet.formats import DASH, format_count, format_duration, format_list, format_number
 
@@ -69,12 +69,13 @@ def _section(study: Study, result: StudyResult, pictures: Path) -> str:
         return told + f"<p><strong>Could not be measured:</strong> {escape(result.failed_because)}.</p>"
     shown = "".join(
         f'<figure><img src="{png_url(file.read_bytes())}" alt="{escape(study.caption)}">'
-        f"<figcaption>{escape(study.caption)}</figcaption></figure>"
+        f"<figcaption>{code(file.stem)}. {escape(study.caption)}</figcaption></figure>"
         for file in sorted(pictures.glob("*.png"))
     )
     rows = [[escape(cell) for cell in _cells(row)] for row in result.rows]
     for before, row in reversed(list(itertools.pairwise(rows))):
         row[-1] = "as above" if row[-1] == before[-1] else row[-1]
+    shown = f'<div class="plots">{shown}</div>' if shown else ""
     return f'{told}<div class="plots">{drawing(study, result.rows)}</div>{shown}{table(HEAD, rows, "stacking words")}'
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from xihe_blender.lab.paper.clouds import walked, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
 from xihenet import estimators
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt
@@ -74,7 +74,7 @@ def effect_on_light(sessions: Sequence[Session], options: StudyOptions) -> Itera
         pairs = np.stack([_errors(steady, "table", size), exact], axis=1)
         found = measured(pairs, options.rng, groups=rooms, statistic=ratio_of_means)
         what = f"SHC RMSE of projection by table {size[0]}x{size[1]} over that without"
-        yield Row(what, "times", *found, "cannot be compared", LIGHT, cases="places")
+        yield Row(what, "times", *found, "cannot be compared", LIGHT, cases=of_rooms("places", rooms))
 
 
 def _errors(sessions: Sequence[Session], method: NearestMethod, size: tuple[int, int]) -> list[float]:
@@ -88,7 +88,7 @@ def _errors(sessions: Sequence[Session], method: NearestMethod, size: tuple[int,
 
 STUDY = Study(
     "acceleration_grid",
-    "Acceleration grid: points at another anchor than the nearest",
+    "Acceleration grid",
     70,
     "The paper sorts points into anchors by a table over azimuth and polar angle, and counts how many of 1,000,000 "
     "points in a cube of 10 m reach the nearest anchor, by size of the table; here those that do not.",

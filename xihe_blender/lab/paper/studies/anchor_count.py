@@ -8,7 +8,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import View, views, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
 from xihenet import estimators
 from xihenet.metrics import shc_rmse
 from xihenet.records import UnitSphereCloud
@@ -31,6 +31,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     if len(found) < 2:
         raise UserError("fewer than two frames of steady rooms have a place in view")
     rooms, rng = [view.room for view in found], options.rng
+    cases = of_rooms("views", rooms)
     sizes = (512, 1280, 2048) if options.quick else tuple(PAPER_RMSE)
     clouds = {
         n: [sample_unit_sphere(view.points, view.place.position_m, AnchorLattice(n)) for view in found] for n in sizes
@@ -38,19 +39,19 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     for n in sizes:
         shares = measured([cloud.is_set.mean() for cloud in clouds[n]], rng, groups=rooms)
         paper = NON_EMPTY if n == 1280 else None
-        yield Row(f"{n} anchors, set by one view", "of all", *shares, "other data", SHARE, paper, "views")
+        yield Row(f"{n} anchors, set by one view", "of all", *shares, "other data", SHARE, paper, cases)
     for name in ("xihenet", "projection", "lattice"):
         errors = {n: np.array(_errors(name, n, clouds[n], found)) for n in sizes if _takes(name, n)}
         for n, each in errors.items():
             paper = PAPER_RMSE[n] if name == "xihenet" else None
             of_all = measured(each, rng, groups=rooms)
-            yield Row(f"{name}, {n} anchors", "SHC RMSE", *of_all, "other data", ERROR, paper, "views", name, n)
+            yield Row(f"{name}, {n} anchors", "SHC RMSE", *of_all, "other data", ERROR, paper, cases, name, n)
         if {512, 2048} <= errors.keys():
             of_all = measured(
                 np.stack([errors[2048], errors[512]], axis=1), rng, groups=rooms, statistic=ratio_of_means
             )
             paper = PAPER_RMSE[2048] / PAPER_RMSE[512] if name == "xihenet" else None
-            yield Row(f"{name}, error of 2048 over 512", "times", *of_all, "other data", ERROR, paper, "views")
+            yield Row(f"{name}, error of 2048 over 512", "times", *of_all, "other data", ERROR, paper, cases)
 
 
 def _takes(name: str, n: int) -> bool:
@@ -68,7 +69,7 @@ def _errors(name: str, n: int, clouds: Sequence[UnitSphereCloud], found: Sequenc
 
 STUDY = Study(
     "anchor_count",
-    "Number of anchors: accuracy and set anchors",
+    "Number of anchors",
     80,
     "The paper trains its network for 512 to 2048 anchors, five runs each, and counts how many anchors one view sets.",
     measure,

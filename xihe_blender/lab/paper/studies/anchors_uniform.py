@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import views, walked, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, ArrayInt
 from xihenet.sampling import sample_unit_sphere
@@ -80,6 +80,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     found = list(views(sessions, 8 if options.quick else 40))
     if len(found) < 2 or sum(len(session.places) for session in steady) < 2:
         raise UserError("fewer than two places of steady rooms are in view")
+    seen_in = [view.room for view in found]
     own = {name: areas(lattice, rng) for name, lattice in ANCHORS.items()}
     rooms = [session.name for session in steady for _ in session.places]
     lights = [place.true_ldr for session in steady for place in session.places]
@@ -90,14 +91,30 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         )
         clouds = [sample_unit_sphere(view.points, view.place.position_m, lattice) for view in found]
         off = [100 * abs(cloud.is_set.mean() - own[name][cloud.is_set].sum()) for cloud in clouds]
-        wrong = measured(off, rng, groups=[view.room for view in found])
+        wrong = measured(off, rng, groups=seen_in)
         what = f"{name}, share of set anchors off the share of the sphere"
-        yield Row(what, "percentage points", *wrong, "cannot be compared", COMPLETENESS, cases="views")
+        yield Row(
+            what, "percentage points", *wrong, "cannot be compared", COMPLETENESS, cases=of_rooms("views", seen_in)
+        )
         errors = measured([shc_rmse(equally_weighted(one, lattice), one) for one in lights], rng, groups=rooms)
-        yield Row(f"{name}, all seen, equal weights", "SHC RMSE", *errors, "cannot be compared", WHOLE, cases="places")
+        yield Row(
+            f"{name}, all seen, equal weights",
+            "SHC RMSE",
+            *errors,
+            "cannot be compared",
+            WHOLE,
+            cases=of_rooms("places", rooms),
+        )
     pairs = np.stack([_errors(steady, ANCHORS["grid"]), _errors(steady, ANCHORS["even"])], axis=1)
     ratio = measured(pairs, rng, groups=rooms, statistic=ratio_of_means)
-    yield Row("grid over even, error of the walk", "times", *ratio, "cannot be compared", ERROR, cases="places")
+    yield Row(
+        "grid over even, error of the walk",
+        "times",
+        *ratio,
+        "cannot be compared",
+        ERROR,
+        cases=of_rooms("places", rooms),
+    )
 
 
 def _errors(sessions: Sequence[Session], lattice: AnchorLattice) -> list[float]:
@@ -110,7 +127,7 @@ def _errors(sessions: Sequence[Session], lattice: AnchorLattice) -> list[float]:
 
 STUDY = Study(
     "anchors_uniform",
-    "Even anchors beside a grid of latitude and longitude",
+    "Even anchors, and a grid",
     60,
     "The paper shows one view's anchors, evenly spread and grouped, and takes even ones, since completeness depends on "
     "them.",

@@ -37,7 +37,7 @@ def measure(_sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row
 
 STUDY = Study(
     "edge_steps",
-    "On the server: decoding, merging, inference",
+    "Steps on the server",
     30,
     "The paper times its server with 512, 1280 and 2048 anchors over its test set; it calls merging with what was seen "
     "before extrapolation.",

@@ -9,7 +9,17 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import views
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, Work, counted, measured, ratio_of_means
+from xihe_blender.lab.paper.records import (
+    Row,
+    Session,
+    Study,
+    StudyOptions,
+    Work,
+    counted,
+    measured,
+    of_rooms,
+    ratio_of_means,
+)
 from xihenet.codec import METHODS, EncodingMethod, encode_cloud
 from xihenet.edge.bench import times_ms
 from xihenet.sampling import sample_unit_sphere
@@ -44,7 +54,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         of_all = measured(sizes, rng, groups=rooms)
         sentence = ODD if method == "uint8_float16" else BYTES
         work: Work = "same work" if method == "float32" else "other data"
-        yield Row(f"{method}, mean", "bytes", *of_all, work, sentence, paper_bytes, "clouds")
+        yield Row(f"{method}, mean", "bytes", *of_all, work, sentence, paper_bytes, of_rooms("clouds", rooms))
         ms[method] = [float(np.median(times_ms(partial(encode_cloud, cloud, method), 20))) for cloud in clouds]
         yield Row(f"{method}, mean time", "ms", *measured(ms[method], rng), "other machine", TIME, paper_ms, "clouds")
     pairs = np.stack([ms["uint8_float16"], ms["uint8_float16_stripped"]], axis=1)
@@ -54,7 +64,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
 
 STUDY = Study(
     "encodings",
-    "Encodings: bytes and time",
+    "Encodings",
     90,
     "The paper compares four ways to write a cloud of 1280 anchors; stripping leaves out anchors that nothing was seen "
     "for.",

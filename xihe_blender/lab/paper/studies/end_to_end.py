@@ -39,7 +39,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
 
 STUDY = Study(
     "end_to_end",
-    "End-to-end time",
+    "End to end",
     10,
     "The paper times an estimate from the frame to its light on three devices: 20.67 ms at best over university WiFi, "
     "under 24.04 ms on all; 79.2 ms over LTE.",

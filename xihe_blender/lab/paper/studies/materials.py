@@ -9,7 +9,7 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_picture
 from xihe_blender.lab.paper.clouds import walked, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms
 from xihe_blender.lab.paper.studies.probes import inside_rim
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb
@@ -48,7 +48,9 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             of_all = measured([place[cell] for place in each], options.rng, groups=rooms)
             what = f"metallic {metallic:g}, smoothness {smoothness:g}, under the {light}"
             series = (f"{light}, metallic {metallic:g}", smoothness)
-            yield Row(what, "sRGB RMSE", *of_all, "cannot be compared", SENTENCE, None, "places", *series)
+            yield Row(
+                what, "sRGB RMSE", *of_all, "cannot be compared", SENTENCE, None, of_rooms("places", rooms), *series
+            )
 
 
 def _pictures(session: Session, n: int, options: StudyOptions) -> dict[str, list[ArrayF64]]:
@@ -107,7 +109,7 @@ def _sheet(cells: ArrayF64) -> ArrayF64:
 
 STUDY = Study(
     "materials",
-    "Materials: metallic by smoothness",
+    "Materials",
     130,
     "The paper renders a bunny with metallic and smoothness from low to high under its estimate, and says that metal "
     "needs light of higher frequency than its estimate has.",

@@ -80,7 +80,7 @@ def _ratio(name: str, four: ArrayF64, one: ArrayF64, rng: np.random.Generator, c
 
 STUDY = Study(
     "network_time",
-    "Network time with one, two and four positions",
+    "Network",
     40,
     "The paper times the way of one encoded cloud to the server and of the light back, over university WiFi, home WiFi "
     "and LTE, with one, two and four positions.",

@@ -48,7 +48,7 @@ def measure(_sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row
 
 STUDY = Study(
     "phone_steps",
-    "On the phone: time of each step",
+    "Steps on the phone",
     20,
     "The paper times each step on three devices with the profiler of Unity, five runs; here its iPad Pro, without "
     "acquiring the scan (1.458 ms).",

@@ -10,7 +10,7 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_picture
 from xihe_blender.lab.paper.clouds import View, views, walked, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext
@@ -21,14 +21,21 @@ from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
-TRUE, WALK, VIEW, SPHERE, AMBIENT = "the true light", "estimate, walk", "estimate, one view", "mirror sphere", "ambient"
+TRUE, WALK, VIEW, SPHERE, AMBIENT = (
+    "true light",
+    "estimate of the walk",
+    "estimate of one view",
+    "mirror sphere",
+    "ambient",
+)
 METHODS = (WALK, VIEW, SPHERE, AMBIENT)
 LIGHT = (
     "The paper shows pictures and no figure. Ambient light is the mean of what the camera sees, as ARKit gives one "
     "intensity and colour; the mirror sphere is read as GLEAM reads its probe."
 )
 PICTURE = (
-    "Three spheres under nine coefficients beside path-traced ones, sRGB, clipped at white; the true light is the best."
+    "Three spheres under nine coefficients beside path-traced ones, sRGB, clipped at white. What is off under the true "
+    "light is due to nine coefficients."
 )
 TIMES = "The paper counts time, 19.9 % less than GLEAM; here both see the same room, and errors are counted."
 SAMPLES = 16
@@ -54,16 +61,17 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             write_picture(options.folder / f"{session.name}.png", _strip(*found[0]))
     if len(rooms) < 2:
         raise UserError("fewer than two places in view of rooms with a .blend file")
+    cases = of_rooms("views", rooms)
     for method in METHODS:
         of_all = measured(errors[method], options.rng, groups=rooms)
-        yield Row(f"{method}, light", "SHC RMSE", *of_all, "cannot be compared", LIGHT, cases="views")
+        yield Row(f"{method}, light", "SHC RMSE", *of_all, "cannot be compared", LIGHT, cases=cases)
     for method in (TRUE, *METHODS):
         of_all = measured(pictures[method], options.rng, groups=rooms)
-        yield Row(f"{method}, picture", "sRGB RMSE", *of_all, "cannot be compared", PICTURE, cases="views")
+        yield Row(f"{method}, picture", "sRGB RMSE", *of_all, "cannot be compared", PICTURE, cases=cases)
     for other in (SPHERE, AMBIENT):
         pairs = np.stack([errors[WALK], errors[other]], axis=1)
         over = measured(pairs, options.rng, groups=rooms, statistic=ratio_of_means)
-        yield Row(f"{WALK} over {other}, light", "times", *over, "cannot be compared", TIMES, cases="views")
+        yield Row(f"{WALK} over {other}, light", "times", *over, "cannot be compared", TIMES, cases=cases)
 
 
 def _lights(session: Session, options: StudyOptions) -> list[tuple[View, dict[str, ArrayF64]]]:
@@ -131,7 +139,7 @@ def _strip(view: View, lights: dict[str, ArrayF64]) -> ArrayF64:
 
 STUDY = Study(
     "probes",
-    "Beside ambient light and a mirror sphere",
+    "Ambient light, mirror sphere",
     15,
     "The paper renders three objects with ARKit's ambient light and with its own, and compares its time with GLEAM, "
     "which reads a mirror sphere.",
