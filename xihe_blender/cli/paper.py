@@ -12,7 +12,7 @@ from xihe_blender.cli.progress import EXIT_IN_PART, progress_line
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
-    quick = "five rooms, few frames: 20 minutes instead of 8 hours, on two cores"
+    quick = "few frames of each room: 20 minutes instead of 8 hours, on two cores"
     add("--out DIR", "folder of the results; a stopped run in it is resumed", Path, required=True)
     add("--quick", quick, action="store_true")
     add("--only NAME", "one study; may be repeated; default: all", action="append", default=[])

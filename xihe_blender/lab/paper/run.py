@@ -108,7 +108,7 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str = "") -> Job
     chosen = chosen_studies(settings.only)
     if not 0 <= settings.seed <= MAX_SEED:
         raise UserError(f"--seed {settings.seed}: give 0 to {MAX_SEED}")
-    files = scene_files(settings.scenes, quick=settings.quick)
+    files = scene_files(settings.scenes)
     hashes = {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     walk = QUICK_WALK if settings.quick else WalkSettings()
     outputs = PaperOutputs(out)

@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from xihe_blender.previs.settings import PrevisSettings
 
 SCENES = Path(__file__).parents[3] / "blend_scenes"
-QUICK = ("living_room", "bedroom_night", "walk_around", "light_temperature", "light_intensity")
-WHOLE = (*QUICK, "cornell_box", "courtyard")
+ROOMS = (
+    "living_room", "bedroom_night", "cornell_box", "courtyard", "walk_around", "light_temperature", "light_intensity",
+)  # fmt: skip
 FACTS_FILE = "facts.json"
 
 
@@ -50,9 +51,9 @@ class WalkSettings:
 QUICK_WALK = WalkSettings(16, (192, 144), "draft", 4)
 
 
-def scene_files(given: Sequence[Path], *, quick: bool) -> tuple[Path, ...]:
+def scene_files(given: Sequence[Path]) -> tuple[Path, ...]:
     """The user's scenes, or else ours. UserError for two of one name, and where ours are not there."""
-    files = tuple(given) or tuple(SCENES / f"{name}.blend" for name in (QUICK if quick else WHOLE))
+    files = tuple(given) or tuple(SCENES / f"{name}.blend" for name in ROOMS)
     if missing := [file for file in files if not file.exists()]:
         fix = "no such file" if given else "run it from a checkout of the project, or give --scenes"
         raise UserError(f"{missing[0]}: {fix}")
