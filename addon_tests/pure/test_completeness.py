@@ -43,6 +43,27 @@ def test_entropy_is_the_sum_of_equation_1():
     assert joint_entropy(points, position) == pytest.approx(expected, rel=1e-12)
 
 
+def test_points_all_around_have_all_bits_and_those_of_half_the_anchors_one_less():
+    anchors = AnchorLattice(256).directions
+    assert joint_entropy(7 * anchors, ORIGIN, sizes=[256]) == pytest.approx(8)
+    assert joint_entropy(anchors[:128], ORIGIN, sizes=[256]) == pytest.approx(7)
+
+
+def test_entropy_of_a_mixture_is_that_of_its_parts_and_of_the_choice_between_them():
+    anchors = AnchorLattice(1024).directions
+    many, few = np.repeat(anchors[:512], 3, axis=0), np.repeat(anchors[-1:], 512, axis=0)
+    choice = -(0.25 * np.log2(0.25) + 0.75 * np.log2(0.75))
+    mixed = np.concatenate([many, few])
+    assert joint_entropy(mixed, ORIGIN, sizes=[1024]) == pytest.approx(choice + 0.75 * 9)
+
+
+def test_distance_order_and_repetition_do_not_change_entropy():
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(500, 3))
+    changed = np.tile(rng.permutation(points * rng.uniform(0.1, 9, (500, 1))), (3, 1))
+    assert joint_entropy(changed, ORIGIN) == pytest.approx(joint_entropy(points, ORIGIN), rel=1e-12)
+
+
 def test_unusable_points_do_not_count():
     points = np.random.default_rng(7).normal(size=(300, 3))
     bad = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 0], [-np.inf, np.nan, 1]]
