@@ -1,6 +1,6 @@
 """What does it cost to send every point to its true nearest anchor? Prints milliseconds and wrong answers.
 
-Run it as `python addon_tests/bench/nearest.py`; it needs the extra `bench` (SciPy, fpsample). Methods take turns, one
+Run it as `python addon_tests/bench/nearest.py`; it needs the extra `bench` (SciPy). Methods take turns, one
 call each, so that what else the machine does falls on all of them; ratios of medians are good to some 10 per cent.
 """
 
@@ -16,9 +16,8 @@ from interleaved import interleaved_ms
 from scipy.spatial import cKDTree
 
 from xihenet.anchor_table import build_anchor_table, cells_for
-from xihenet.completeness import joint_entropy
-from xihenet.records import ArrayF32, ArrayF64, ArrayInt, PointCloud
-from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
+from xihenet.records import ArrayF32, ArrayInt, PointCloud
+from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 N_POINTS = 256 * 192
@@ -36,7 +35,6 @@ def main() -> None:
     print(f"NumPy {np.__version__}, Python {platform.python_version()}, {platform.machine()}\n")
     print_times(options.repeats)
     print_sizes(options.points, options.repeats)
-    print_entropy()
 
 
 def in_cube(n_points: int, seed: int = 0) -> ArrayF32:
@@ -111,41 +109,6 @@ def print_sizes(n_points: int, repeats: int) -> None:
         ratio = f"{np.median(exact_ms) / np.median(table_ms):.2f} ({min(exact_ms) / min(table_ms):.2f})"
         seconds = f"{built - start:.2f}", f"{table.codes.nbytes / 1e6:.1f}", f"{paired - built:.3f}"
         print_row((n, *wrong, ratio, *seconds), widths)
-
-
-def view_of_room(seed: int) -> tuple[PointCloud, ArrayF64]:
-    """What a camera sees of an empty room of 5 x 4 x 2.6 m, and a position on the floor of its view."""
-    rng = np.random.default_rng(seed)
-    yaw = rng.uniform(0, 2 * np.pi)
-    forward = np.array([np.cos(yaw), np.sin(yaw), -0.3])
-    right = np.array([np.sin(yaw), -np.cos(yaw), 0])
-    up = np.cross(right, forward)
-    across, along = np.meshgrid(np.linspace(-0.65, 0.65, 256), np.linspace(0.5, -0.5, 192))
-    rays = (forward + across[..., None] * right + along[..., None] * up).reshape(-1, 3)
-    camera, walls = np.array([*rng.uniform(-1, 1, 2), 1.5]), np.array([[-2.5, -2, 0], [2.5, 2, 2.6]])
-    with np.errstate(divide="ignore"):  # A ray along a wall never meets it: the infinite reach loses to another wall.
-        reach = ((np.where(rays > 0, walls[1], walls[0]) - camera) / rays).min(axis=1)
-    points = camera + rays * reach[:, None]
-    return PointCloud(points, rng.random(points.shape)), np.array([*(camera[:2] + 0.8 * forward[:2]), 0.1])
-
-
-def print_entropy() -> None:
-    """Joint entropy of sampled clouds over the whole cloud's, as the paper compares them."""
-    lattice, rng = AnchorLattice(N_ANCHORS), np.random.default_rng(5)
-    relative: dict[str, list[float]] = {"unit sphere": [], "uniform random": [], "farthest point": []}
-    for seed in range(10):
-        cloud, position = view_of_room(seed)
-        sampled = sample_unit_sphere(cloud, position, lattice)
-        on_sphere = lattice.directions[sampled.is_set] * sampled.distance_m[sampled.is_set, None] + position
-        raw = joint_entropy(cloud.points_m, position)
-        relative["unit sphere"].append(joint_entropy(on_sphere, position) / raw)
-        for name, sample in (("uniform random", sample_uniform), ("farthest point", sample_farthest)):
-            relative[name].append(joint_entropy(sample(cloud, N_ANCHORS, rng).points_m, position) / raw)
-    print("\njoint entropy relative to the whole cloud, 10 views of an empty room, 1280 anchors or points")
-    ours = np.mean(relative["unit sphere"])
-    for name, values in relative.items():
-        gain = "" if name == "unit sphere" else f"   unit sphere {100 * (ours / np.mean(values) - 1):+.1f} %"
-        print(f"{name:<20}{np.mean(values):.3f}{gain}")
 
 
 if __name__ == "__main__":
