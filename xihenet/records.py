@@ -25,7 +25,7 @@ ArrayU8 = NDArray[np.uint8]
 ArrayBool = NDArray[np.bool_]
 ArrayInt = NDArray[np.intp]
 
-TriggerReason = Literal["first", "colour", "coverage", "moved", "none"]
+TriggerReason = Literal["first", "colour", "coverage", "light", "moved", "none"]
 
 
 def _keep(record: object, dtype: Any, **shapes: tuple[int | None, ...]) -> None:
@@ -306,11 +306,12 @@ class TriggerDecision:
 
     fire: bool  # make a new estimate
     reason: TriggerReason  # "first" without a previous cloud
-    # The largest pooled colour change, for "coverage" the newly seen share of the sphere, for "moved" the metres from
-    # where the last estimate was made; None for "first".
+    # The largest pooled colour change, for "coverage" the newly seen share of the sphere, for "light" the share of it
+    # that is expected to change, for "moved" the metres from where the last estimate was made; None for "first".
     change: float | None
     threshold: float  # what `change` was held against
-    n_changed_anchors: int = 0  # whose own pooled change exceeds the threshold, or newly seen ones for "coverage"
+    # Whose own pooled change exceeds the threshold, or newly seen ones for "coverage"; 0 for "light".
+    n_changed_anchors: int = 0
 
 
 @dataclass(frozen=True, eq=False)

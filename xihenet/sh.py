@@ -48,7 +48,8 @@ N_BISECTIONS = 30
 
 
 @lru_cache(maxsize=8)
-def _anchor_basis(lattice: AnchorLattice, order: int) -> ArrayF64:
+def anchor_basis(lattice: AnchorLattice, order: int) -> ArrayF64:
+    """(N, (order + 1)^2) `basis` in the lattice's directions, read-only, made once for a lattice."""
     table = np.ascontiguousarray(basis(lattice.directions, order))
     table.flags.writeable = False
     return table
@@ -74,7 +75,7 @@ def project_anchors(cloud: UnitSphereCloud, lattice: AnchorLattice, order: int =
     ((order + 1)^2, 3) float64, linear, carrying the cloud's exposure; zeros if no anchor is set. ValueError if the
     cloud and the lattice differ in size. float64 throughout: with all anchors set within 1e-8 of a fit by SVD.
     """
-    table = _anchor_basis(lattice, order)
+    table = anchor_basis(lattice, order)
     if len(cloud) != len(table):
         raise ValueError(f"project_anchors: expected a cloud of the lattice's {len(table)} anchors, got {len(cloud)}")
     n_set = int(np.count_nonzero(cloud.is_set))

@@ -65,6 +65,7 @@ def test_a_few_noisy_anchors_can_be_set_aside():
         {"view_angle_deg": np.nan},
         {"same_distance": 0},
         {"agreeing_share": 1.1},
+        {"light_theta": np.nan},
     ],
 )
 def test_settings_out_of_range_are_refused(wrong):

@@ -179,7 +179,7 @@ class ProbeResult:
     position_m: Annotated[tuple[float, float, float], "world"]
     coverage: Annotated[float, "share of the anchors that are set"]
     fired: Annotated[bool, "whether an estimate was asked for"]
-    reason: Annotated[Literal["first", "colour", "coverage", "moved", "none"], "why an estimate was asked for"]
+    reason: Annotated[Literal["first", "colour", "coverage", "light", "moved", "none"], "why an estimate was asked for"]
     change: Annotated[float | None, "what the trigger compared with `threshold`; None for `first`"]
     threshold: Annotated[float | None, "None where nothing was compared"]
     n_changed_anchors: Annotated[int, "above it"]

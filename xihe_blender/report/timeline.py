@@ -17,12 +17,14 @@ REASONS = {
     "first": "first estimate",
     "colour": "light changed",
     "coverage": "more of the surroundings seen",
+    "light": "light expected to change",
     "moved": "object moved",
 }
 KEPT = "kept"
 """Stands where a reason stands, for a frame whose light could not be known."""
 
-_SHAPES = {"first": "diamond", "colour": "circle", "coverage": "triangle", KEPT: "cross"}
+# One run has one policy of the trigger, and "colour" and "light" are of two.
+_SHAPES = {"first": "diamond", "colour": "circle", "coverage": "triangle", "light": "circle", KEPT: "cross"}
 N_COLOURS = 6
 
 
