@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -104,7 +105,7 @@ def changes(found: Sequence[Pair], lattice: AnchorLattice) -> dict[str, ArrayF64
     asked: dict[str, Callable[[Pair], float]] = {MSE: _picture_mse}
     for n in WINDOWS:
         settings = TriggerSettings(policy="reference", n_neighbours=n)
-        asked[f"window {n}"] = lambda pair, how=settings: _paper_change(pair, lattice, how)
+        asked[f"window {n}"] = partial(_paper_change, lattice=lattice, settings=settings)
     asked[OURS] = lambda pair: expected_change(pair[0].cloud, pair[1].cloud, lattice)
     return {name: np.array([ask(pair) for pair in found]) for name, ask in asked.items()}
 

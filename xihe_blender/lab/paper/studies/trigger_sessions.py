@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, me
 from xihenet import estimators
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.camera import unproject_frame
+from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.expected_change import expected_change
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, UnitSphereCloud
@@ -25,6 +28,7 @@ THETAS = {
     OURS: (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.18, 0.21, 0.25, 0.3, 0.4, 0.6),
 }
 SHOWN = {PAPERS: (0.5, 0.6, 0.7), OURS: (0.18,)}
+PACE_HZ = 10
 ERRORS = (0.01, 0.02, 0.03, 0.04, 0.06)
 PAPER = {  # Of the session that is most like ours: SHC RMSE and share of triggered frames by theta
     "light_temperature": {0.5: (0.0180, 0.0159), 0.6: (0.0193, 0.0027), 0.7: (0.0169, 0.0013)},
@@ -69,15 +73,18 @@ def changes_by_rule(lattice: AnchorLattice) -> dict[str, Change]:
     return {PAPERS: of_the_paper, OURS: lambda previous, current: expected_change(previous, current, lattice)}
 
 
-def follow(session: Session, lattice: AnchorLattice) -> list[Followed]:
-    """Each place of the session that any frame shows something from, from the first such frame on."""
+def follow(session: Session, lattice: AnchorLattice, n_steps: int = 1) -> list[Followed]:
+    """Each place of the session that any frame shows something from, from the first such frame on.
+
+    With `n_steps` each step from a frame to the next is taken in as many, see `blended`.
+    """
     estimator = estimators.load(estimators.DEFAULT, lattice.n, "ldr")
     points = [unproject_frame(frame, reference_exposure=session.exposure) for frame in session.frames]
     followed = []
     for place in session.places:
         buffers, place_seen = PositionBuffers.empty(lattice.n), Followed([], [], [])
-        for cloud in points:
-            sampled = buffers.in_sight(sample_unit_sphere(cloud, place.position_m, lattice))
+        for sampled in blended([sample_unit_sphere(cloud, place.position_m, lattice) for cloud in points], n_steps):
+            sampled = buffers.in_sight(sampled)
             buffers = buffers.with_frame(sampled).fired()
             if buffers.persistent.is_set.any():
                 place_seen.seen.append(sampled)
@@ -86,6 +93,23 @@ def follow(session: Session, lattice: AnchorLattice) -> list[Followed]:
         if place_seen.seen:
             followed.append(place_seen)
     return followed
+
+
+def blended(clouds: Sequence[UnitSphereCloud], n_steps: int) -> Iterator[UnitSphereCloud]:
+    """The K clouds of a phone that stands still while the light changes, and `n_steps` - 1 between each two.
+
+    An anchor that both set has the mean of their linear light, weighed by nearness in time; the others are as in the
+    nearer of the two. That is the light between them where it changes evenly, and hides no move of the phone.
+    """
+    for before, after in pairwise(clouds):
+        for step in range(n_steps):
+            share = step / n_steps
+            nearer = before if share <= 0.5 else after
+            both = (before.is_set & after.is_set)[:, None]
+            mixed = (1 - share) * srgb_to_linear(before.srgb) + share * srgb_to_linear(after.srgb)
+            srgb = np.where(both & (step > 0), linear_to_srgb(mixed), nearer.srgb)
+            yield UnitSphereCloud(np.clip(srgb, 0, 1), nearer.distance_m, nearer.is_set)
+    yield from clouds[-1:]
 
 
 def walk(place: Followed, rule: str, change: Change, theta: float) -> tuple[int, ArrayF64]:
@@ -117,8 +141,8 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     lattice = AnchorLattice(1280)
     rules, rng = changes_by_rule(lattice), options.rng
     all_curves: dict[str, dict[str, NDArray[np.float64]]] = {}
-    for session in sessions:
-        followed = follow(session, lattice)
+    for session, n_steps in chain.from_iterable(map(paces, sessions)):
+        followed = follow(session, lattice, n_steps)
         minutes = (session.frames[-1].time_s - session.frames[0].time_s) / 60
         if len(followed) < 2 or minutes <= 0:
             continue
@@ -136,11 +160,20 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         yield from _over_error(session, curves, minutes, rng)
     for what, names in (
         ("the paper's kinds of session", [n for n in all_curves if n in PAPER]),
-        ("all", list(all_curves)),
+        ("all", [one.name for one in sessions if one.name in all_curves]),
     ):
         if len(names) > 1:
             together = {rule: np.concatenate([all_curves[name][rule] for name in names]) for rule in rules}
             yield _ratio(f"{what} together, one theta for all", together, EQUAL_FOR_ALL, rng)
+
+
+def paces(session: Session) -> list[tuple[Session, int]]:
+    """The session as it is, and where its light changes also at a phone's pace, with the steps that takes."""
+    step_s = (session.frames[-1].time_s - session.frames[0].time_s) / max(1, len(session.frames) - 1)
+    n_steps = round(step_s * PACE_HZ)
+    is_slow = not session.has_truth and n_steps > 1
+    at_pace = replace(session, name=f"{session.name}, blended to {PACE_HZ} frames a second")
+    return [(session, 1), *([(at_pace, n_steps)] if is_slow else [])]
 
 
 def _of_theta(
@@ -181,6 +214,10 @@ def _ratio(name: str, curves: dict[str, NDArray[np.float64]], sentence: str, rng
     return Row(what, "times", *measured(both, rng, statistic=ratio), "cannot be compared", sentence, cases="places")
 
 
+def _fires_a_minute(places: NDArray[np.float64], error: float, minutes: float) -> float:
+    return fires_at(error, places.mean(axis=0)) / minutes
+
+
 def _over_error(
     session: Session, curves: dict[str, NDArray[np.float64]], minutes: float, rng: np.random.Generator
 ) -> Iterator[Row]:
@@ -189,7 +226,7 @@ def _over_error(
         for error in ERRORS:
             if curve[..., 1].mean(axis=0).max() < error:
                 continue
-            found = measured(curve, rng, statistic=lambda rows, at=error: fires_at(at, rows.mean(axis=0)) / minutes)
+            found = measured(curve, rng, statistic=partial(_fires_a_minute, error=error, minutes=minutes))
             what = f"{session.name}, {rule}: estimates at an error of {error:g}"
             drawn = (f"{session.name}, {rule}", error) if session.name in PAPER else ("", None)
             yield Row(what, "a minute", *found, "cannot be compared", EQUAL, None, "places", *drawn)
