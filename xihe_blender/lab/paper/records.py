@@ -131,6 +131,7 @@ class Session:
     places : where the light is asked for
     blend_file : of the room; None for one that was made in memory
     capture_change : the trigger's change between two captures of one and the same view, which is render noise
+    n_between : frames that each of the file's was recorded as, see `open_walk`
     """
 
     name: str
@@ -139,6 +140,7 @@ class Session:
     places: Sequence[Place]
     blend_file: Path | None = None
     capture_change: float | None = None
+    n_between: int = 1
 
     @property
     def has_truth(self) -> bool:

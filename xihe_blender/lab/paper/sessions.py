@@ -1,7 +1,8 @@
 """Which walks are the studies measured on? Rooms that are recorded once, as a phone would, and the true light in them.
 
 A room is recorded as by `xihe record`; then, if its light stays the same, again from the kept captures with the true
-light at places that the walk shows: its virtual objects first, then above upward surfaces all over the room.
+light at places that the walk shows: its virtual objects first, then above upward surfaces all over the room. A path of
+fewer frames than are wanted is recorded between them too, as a phone takes more pictures on the same walk.
 """
 
 from __future__ import annotations
@@ -36,19 +37,22 @@ ROOMS = (
     "living_room", "bedroom_night", "cornell_box", "courtyard", "walk_around", "light_temperature", "light_intensity",
 )  # fmt: skip
 FACTS_FILE = "facts.json"
+FACTS = {"positions_m", "names", "n_between", "is_steady", "exposure", "capture_change"}
 
 
 @dataclass(frozen=True)
 class WalkSettings:
-    """How much of each room is recorded: the most frames, their size, the preset of renders, places of the truth."""
+    """How much of each room is recorded: how many frames, their size, the preset of renders, places of the truth."""
 
-    n_frames: int = 48
+    n_frames: int = 120
     size: tuple[int, int] = (256, 192)
     preset: str = "balanced"
     n_places: int = 12
 
 
 QUICK_WALK = WalkSettings(16, (192, 144), "draft", 4)
+MOST_BETWEEN = 8
+"""Frames that one of the path becomes, at most."""
 
 
 def scene_files(given: Sequence[Path]) -> tuple[Path, ...]:
@@ -75,7 +79,28 @@ def recorded_session(file: Path, folder: Path, walk: WalkSettings, seed: int) ->
 
 
 def _is_whole(facts: Json) -> bool:
-    return isinstance(facts, dict) and {"positions_m", "names", "is_steady", "exposure", "capture_change"} <= set(facts)
+    return isinstance(facts, dict) and set(facts) >= FACTS
+
+
+def open_walk(file: Path, n_between: int) -> bpy.types.Scene:
+    """The scene in `file`, each frame of its path now `n_between` of them, of as many seconds together."""
+    from xihe_blender.scene.blend_file import open_blend
+
+    scene = open_blend(file)
+    render = scene.render
+    if n_between > 1:
+        render.frame_map_old, render.frame_map_new = 100, 100 * n_between
+        render.fps *= n_between
+        scene.frame_end, scene.frame_start = scene.frame_end * n_between, scene.frame_start * n_between
+    return scene
+
+
+def _n_between(file: Path, walk: WalkSettings) -> int:
+    scene = open_walk(file, 1)
+    if (scene.render.frame_map_old, scene.render.frame_map_new) != (100, 100) or scene.frame_step != 1:
+        return 1  # The user has a pace of their own.
+    n_steps: int = max(1, scene.frame_end - scene.frame_start)
+    return min(MOST_BETWEEN, max(1, (walk.n_frames - 1) // n_steps))
 
 
 def planned_walk(
@@ -85,10 +110,9 @@ def planned_walk(
     from xihe_blender.previs.captured_path import path_plan
     from xihe_blender.previs.plan import evenly_chosen, plan_previs
     from xihe_blender.previs.settings import PrevisSettings
-    from xihe_blender.scene.blend_file import open_blend
     from xihe_blender.scene.virtual_objects import virtual_objects
 
-    scene = open_blend(file)
+    scene = open_walk(file, _n_between(file, walk))
     settings = PrevisSettings(preset=walk.preset, size=walk.size, seed=seed)
     plan = plan_previs(scene, settings) if virtual_objects(scene) else path_plan(scene, settings)[1]
     frames = tuple(evenly_chosen(list(plan.frames), walk.n_frames))
@@ -97,8 +121,8 @@ def planned_walk(
 
 def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json]:
     from xihe_blender.previs.record import RecordWishes, record_session
-    from xihe_blender.scene.blend_file import open_blend
 
+    n_between = _n_between(file, walk)
     scene, plan, settings, frames = planned_walk(file, walk, seed)
     is_steady = _is_steady(scene, plan, frames)
     yield from part_of(2, 0, 1, record_session(scene, folder, settings, RecordWishes(), blend_file=file))
@@ -111,11 +135,14 @@ def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json
     positions_m = [(float(x), float(y), float(z)) for x, y, z in places.values()]
     if is_steady:
         wishes = RecordWishes(has_truth=True, at_m=positions_m)
-        yield from part_of(2, 1, 1, record_session(open_blend(file), folder, settings, wishes, blend_file=file))
+        yield from part_of(
+            2, 1, 1, record_session(open_walk(file, n_between), folder, settings, wishes, blend_file=file)
+        )
     noise = kept_json(folder / "work" / "sample_count.json", dict) or {}
     facts = {
         "positions_m": positions_m,
         "names": list(places),
+        "n_between": n_between,
         "is_steady": is_steady,
         "exposure": capture.reference_exposure,
         "capture_change": noise.get("capture_change"),
@@ -144,7 +171,8 @@ def load_session(file: Path | None, folder: Path, facts: Json) -> Session:
         read_json(folder / "truth.json")["places"] if facts["is_steady"] else [{}] * len(positions)
     )
     places = [_place(*one, folder) for one in zip(facts["names"], positions, lights, strict=True)]
-    return Session(file.stem if file else folder.name, frames, facts["exposure"], places, file, facts["capture_change"])
+    name = file.stem if file else folder.name
+    return Session(name, frames, facts["exposure"], places, file, facts["capture_change"], facts["n_between"])
 
 
 def _place(name: str, position_m: ArrayF64, light: dict[str, Json], folder: Path) -> Place:

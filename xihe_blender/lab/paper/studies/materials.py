@@ -60,7 +60,7 @@ def _pictures(session: Session, n: int, options: StudyOptions) -> dict[str, list
     from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
     from xihe_blender.capture.render import RenderSettings
     from xihe_blender.capture.three_spheres import open_three_spheres
-    from xihe_blender.scene.blend_file import open_blend
+    from xihe_blender.lab.paper.sessions import open_walk
 
     assert session.blend_file is not None
     looks = {f"{m:g} {s:g}": {"Metallic": m, "Roughness": 1 - s} for m, s in GRID}
@@ -71,7 +71,7 @@ def _pictures(session: Session, n: int, options: StudyOptions) -> dict[str, list
         ESTIMATE: [network.estimate(cloud) for cloud in walked(session, AnchorLattice(1280))[:n]],
         TRUE: [place.true_ldr for place in places],
     }
-    scene = open_blend(session.blend_file)
+    scene = open_walk(session.blend_file, session.n_between)
     seen: dict[str, list[ArrayF64]] = {}
     with open_three_spheres(scene, settings, SIZE, looks=looks) as spheres:
         seen["room"] = [_cells(spheres.seen_at(frame, place.position_m, session.exposure)) for place in places]

@@ -78,7 +78,7 @@ def _lights(session: Session, options: StudyOptions) -> list[tuple[View, dict[st
     """Views in which the sphere is seen, and each method's light at their places."""
     from xihe_blender.capture.mirror_sphere import open_mirror_sphere
     from xihe_blender.capture.render import RenderSettings
-    from xihe_blender.scene.blend_file import open_blend
+    from xihe_blender.lab.paper.sessions import open_walk
 
     assert session.blend_file is not None
     lattice, projection = AnchorLattice(1280), estimators.load("projection", 1280, "ldr")
@@ -88,7 +88,7 @@ def _lights(session: Session, options: StudyOptions) -> list[tuple[View, dict[st
     camera = session.frames[0].intrinsics
     settings = RenderSettings((camera.width, camera.height), SAMPLES, options.seed)
     found = []
-    with open_mirror_sphere(open_blend(session.blend_file), settings) as sphere:
+    with open_mirror_sphere(open_walk(session.blend_file, session.n_between), settings) as sphere:
         for view in views([session], 4 if options.quick else 20):
             place_m = view.place.position_m
             seen = sphere.seen_at(view.frame.frame, place_m, session.exposure)
