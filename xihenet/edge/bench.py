@@ -90,13 +90,15 @@ def server_times_ms(inference: Inference, rng: np.random.Generator, n: int, repe
 def _step(port: int, server_ms: Callable[[], float], n_positions: int, n_frames: int) -> str:
     """A row: the stages' medians, of all positions of a frame together."""
     steps = step_times_ms(port, server_ms, n_positions, n_frames)
-    return f"| {n_positions} | {' | '.join(f'{np.median(ms):.2f}' for ms in steps.values())} |"
+    medians = [float(np.median(ms)) for ms in steps.values()]
+    return f"| {n_positions} | {' | '.join('-' if np.isnan(ms) else f'{ms:.2f}' for ms in medians)} |"
 
 
 def step_times_ms(port: int, server_ms: Callable[[], float], n_positions: int, n_frames: int) -> dict[str, ArrayF64]:
     """(F,) each: STAGES, of all positions of a frame together; of the estimate's what is "network"; the whole "step".
 
-    `port` and `server_ms` are those of `served`. Every frame asks for the light of every position.
+    NaN for the network with several positions: their requests are under way together, so times do not
+    add up. `port` and `server_ms` are those of `served`. Every frame asks for the light of every position.
     """
     eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0), codec=DEFAULT_METHOD)
     rows, network, whole = [], [], []
@@ -110,7 +112,7 @@ def step_times_ms(port: int, server_ms: Callable[[], float], n_positions: int, n
             reports = session.step(frame, active=list(session.positions)).values()
             whole.append(1e3 * (time.perf_counter() - start))
             rows.append([sum(report.stage_ms.get(stage, 0.0) for report in reports) for stage in STAGES])
-            network.append(rows[-1][-1] - (server_ms() - before_ms))
+            network.append(rows[-1][-1] - (server_ms() - before_ms) if n_positions == 1 else np.nan)
     by_stage = dict(zip(STAGES, np.array(rows).T, strict=True))
     return by_stage | {"network": np.array(network), "step": np.array(whole)}
 
