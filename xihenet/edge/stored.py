@@ -101,7 +101,7 @@ def position_to_bytes(seen: SeenPosition) -> bytes:
 def _columns(srgb: ArrayF32, distance_m: ArrayF32) -> tuple[list[NDArray[Any]], bool]:
     """(K, 3) colours and (K,) distances as they are stored, and whether 16 bits hold them."""
     codes = np.rint(srgb * _CODES).astype("<u2")
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # What is too far for 16 bits differs, and takes 32.
         half = distance_m.astype("<f2")
     if (codes / _CODES == srgb).all() and (half == distance_m).all():
         return [codes, half], True
