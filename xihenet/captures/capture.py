@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -75,15 +73,8 @@ class Capture:
     is_opencv: bool = False
 
     def __iter__(self) -> Iterator[RgbdFrame]:
-        """The frames in order. A thread reads the next while one is used, so two are in memory at a time."""
-        with ThreadPoolExecutor(1) as reader:
-            ahead: deque[Future[RgbdFrame]] = deque()
-            for frame in self.frames:
-                ahead.append(reader.submit(frame.read))
-                if len(ahead) > 1:
-                    yield ahead.popleft().result()
-            while ahead:
-                yield ahead.popleft().result()
+        """The frames, one in memory at a time."""
+        return (frame.read() for frame in self.frames)
 
 
 def inside(folder: Path, name: str) -> Path:
