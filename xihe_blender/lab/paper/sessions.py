@@ -87,16 +87,18 @@ def open_walk(file: Path, n_between: int) -> bpy.types.Scene:
     from xihe_blender.scene.blend_file import open_blend
 
     scene = open_blend(file)
-    render = scene.render
-    if n_between > 1:
-        render.frame_map_old, render.frame_map_new = 100, 100 * n_between
-        render.fps *= n_between
-        scene.frame_end, scene.frame_start = scene.frame_end * n_between, scene.frame_start * n_between
+    _slow_down(scene, n_between)
     return scene
 
 
-def _n_between(file: Path, walk: WalkSettings) -> int:
-    scene = open_walk(file, 1)
+def _slow_down(scene: bpy.types.Scene, n_between: int) -> None:
+    if n_between > 1:
+        scene.render.frame_map_old, scene.render.frame_map_new = 100, 100 * n_between
+        scene.render.fps *= n_between
+        scene.frame_end, scene.frame_start = scene.frame_end * n_between, scene.frame_start * n_between
+
+
+def _n_between(scene: bpy.types.Scene, walk: WalkSettings) -> int:
     if (scene.render.frame_map_old, scene.render.frame_map_new) != (100, 100) or scene.frame_step != 1:
         return 1  # The user has a pace of their own.
     n_steps: int = max(1, scene.frame_end - scene.frame_start)
@@ -105,25 +107,29 @@ def _n_between(file: Path, walk: WalkSettings) -> int:
 
 def planned_walk(
     file: Path, walk: WalkSettings, seed: int
-) -> tuple[bpy.types.Scene, PrevisPlan, PrevisSettings, tuple[int, ...]]:
-    """The opened scene, the plan of all of its path, and the frames of it that are recorded; UserError as of a run."""
+) -> tuple[bpy.types.Scene, PrevisPlan, PrevisSettings, tuple[int, ...], int]:
+    """The scene as `open_walk` has it, the plan of all of its path, the frames that are recorded, and its `n_between`.
+
+    UserError as of a run.
+    """
     from xihe_blender.previs.captured_path import path_plan
     from xihe_blender.previs.plan import evenly_chosen, plan_previs
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.virtual_objects import virtual_objects
 
-    scene = open_walk(file, _n_between(file, walk))
+    scene = open_walk(file, 1)
+    n_between = _n_between(scene, walk)
+    _slow_down(scene, n_between)
     settings = PrevisSettings(preset=walk.preset, size=walk.size, seed=seed)
     plan = plan_previs(scene, settings) if virtual_objects(scene) else path_plan(scene, settings)[1]
     frames = tuple(evenly_chosen(list(plan.frames), walk.n_frames))
-    return scene, plan, replace(settings, frames=frames), frames
+    return scene, plan, replace(settings, frames=frames), frames, n_between
 
 
 def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json]:
     from xihe_blender.previs.record import RecordWishes, record_session
 
-    n_between = _n_between(file, walk)
-    scene, plan, settings, frames = planned_walk(file, walk, seed)
+    scene, plan, settings, frames, n_between = planned_walk(file, walk, seed)
     is_steady = _is_steady(scene, plan, frames)
     yield from part_of(2, 0, 1, record_session(scene, folder, settings, RecordWishes(), blend_file=file))
     capture = open_capture(folder)
