@@ -37,6 +37,8 @@ MAX_SHORT_NAME = 31
 # Bytes, and how many times the file's: a small file that says that it holds more than both is not unpacked.
 LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
 
+UNPACKED_TOGETHER = 256  # Rows without compression that are read at once: one by one takes longer than their pixels do
+
 ZLIB_LEVEL = 4  # Of 256x192 pixels of noise, levels 1 to 4 take the same time and space
 
 HEADER_BYTES = 2**16
@@ -121,20 +123,42 @@ def read_exr(
     """
     content = _content(path)
     with _errors_of(path):
-        parts, at = _parts(content)
-        for part in parts:
-            if part.other:
-                raise OtherExr(part.other)
-        is_multi_part = bool(_flags(content) & MULTI_PART)
-        channels: dict[str, ArrayF32] = {}
-        for number, part in enumerate(parts):
-            offsets = np.frombuffer(content, "<u8", part.n_chunks, at).tolist()
-            at += 8 * part.n_chunks
-            chunks = _chunks(content, part, offsets, number if is_multi_part else None)
-            wanted = [name for name, _ in part.channels if names is None or name in names]
-            if wanted:
-                channels |= _channels_of(part, chunks, wanted, most_pixels)
-        return channels
+        return {name: _as_float32(pixels) for name, pixels in _stored_channels(content, names, most_pixels)}
+
+
+def read_stored_exr(path: Path) -> tuple[dict[str, Attribute], dict[str, NDArray[Any]]]:
+    """What `exr_attributes` says, and all channels (H, W) in the types in which they are stored; raises as `read_exr`.
+
+    For files that are read by the thousand: numbers that a caller looks up by their bits need no other type first.
+    """
+    content = _content(path)
+    with _errors_of(path):
+        found = _stored_channels(content, None, None)
+        return _attributes_of(content), {n: _as_float32(p) if p.dtype == np.float32 else p for n, p in found}
+
+
+def _stored_channels(
+    content: bytes, names: Collection[str] | None, most_pixels: int | None
+) -> Iterator[tuple[str, NDArray[Any]]]:
+    parts, at = _parts(content)
+    for part in parts:
+        if part.other:
+            raise OtherExr(part.other)
+    is_multi_part = bool(_flags(content) & MULTI_PART)
+    for number, part in enumerate(parts):
+        offsets = np.frombuffer(content, "<u8", part.n_chunks, at).tolist()
+        at += 8 * part.n_chunks
+        chunks = _chunks(content, part, offsets, number if is_multi_part else None)
+        wanted = [name for name, _ in part.channels if names is None or name in names]
+        if wanted:
+            yield from _channels_of(part, chunks, wanted, most_pixels).items()
+
+
+def _as_float32(pixels: NDArray[Any]) -> ArrayF32:
+    values = pixels.astype(np.float32, copy=False)
+    # The same for every NaN: one that signals would warn at the first cast, far from here.
+    values[np.isnan(values)] = np.nan
+    return values
 
 
 def write_exr(
@@ -289,6 +313,9 @@ def _chunks(content: bytes, part: _Part, offsets: list[int], number: int | None)
         raise ValueError("the pixels are missing")
     if size > max(LARGEST_UNPACKED, LARGEST_RATIO * len(content)):
         raise TooLarge(f"its pixels take {size >> 20} MB, more than {LARGEST_RATIO} times the file: save it smaller")
+    if part.compression == "none":
+        yield from _rows_as_they_are(content, part, offsets, number)
+        return
     n_together = ROWS_IN_CHUNK[part.compression]
     for chunk, start in enumerate(offsets):
         at = start
@@ -304,6 +331,24 @@ def _chunks(content: bytes, part: _Part, offsets: list[int], number: int | None)
         if len(packed) != size:
             raise ValueError("a chunk is cut short")
         yield first, min(n_together, part.height - first), packed
+
+
+def _rows_as_they_are(content: bytes, part: _Part, offsets: list[int], number: int | None) -> Iterator[_Chunk]:
+    """Chunks that are not packed, many at once: as of `_chunks`."""
+    n_head = 2 if number is None else 3
+    size = 4 * n_head + part.row_bytes
+    for first in range(0, part.height, UNPACKED_TOGETHER):
+        starts = offsets[first : first + UNPACKED_TOGETHER]
+        if (np.diff(starts) == size).all():
+            chunks = np.frombuffer(content, np.uint8, size * len(starts), starts[0]).reshape(-1, size)
+        else:  # Rows may lie anywhere.
+            chunks = np.stack([np.frombuffer(content, np.uint8, size, start) for start in starts])
+        rows = part.first_row + np.arange(first, first + len(starts))
+        expected = [] if number is None else [np.full_like(rows, number)]
+        heads = np.ascontiguousarray(chunks[:, : 4 * n_head]).view("<i4")
+        if (heads != np.stack([*expected, rows, np.full_like(rows, part.row_bytes)], axis=1)).any():
+            raise ValueError("a chunk is not where it belongs")
+        yield first, len(chunks), np.ascontiguousarray(chunks[:, 4 * n_head :]).tobytes()
 
 
 def _unpacked(chunk: bytes, size: int) -> NDArray[np.uint8]:
@@ -323,12 +368,12 @@ def _unpacked(chunk: bytes, size: int) -> NDArray[np.uint8]:
 
 def _channels_of(
     part: _Part, chunks: Iterable[_Chunk], wanted: Collection[str], most_pixels: int | None
-) -> dict[str, ArrayF32]:
+) -> dict[str, NDArray[Any]]:
     """Unpacked chunk by chunk, so that no more is in memory than is asked for."""
     if max(part.height, part.width) > LONGEST_SIDE:  # Without channels a file of any size may say so.
         raise TooLarge(f"it has {part.width}x{part.height} pixels: save it with at most {LONGEST_SIDE} along a side")
     rows, columns = picked_pixels(part.height, part.width, most_pixels)
-    channels = {name: np.empty((len(rows), len(columns)), np.float32) for name in wanted}
+    channels = {name: np.empty((len(rows), len(columns)), kind) for name, kind in part.channels if name in wanted}
     is_whole = (len(rows), len(columns)) == (part.height, part.width)  # Then nothing is picked, which takes a copy.
     for first, n_rows, packed in chunks:
         start, end = (first, first + n_rows) if is_whole else np.searchsorted(rows, [first, first + n_rows])
@@ -343,9 +388,6 @@ def _channels_of(
                 values = np.ascontiguousarray(lines[:, at:after]).view(kind)
                 channels[name][start:end] = values if is_whole else values[:, columns]
             at = after
-    for pixels in channels.values():
-        # The same for every NaN: one that signals would warn at the first cast, far from here.
-        pixels[np.isnan(pixels)] = np.nan
     return channels
 
 

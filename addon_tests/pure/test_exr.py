@@ -7,7 +7,7 @@ import pytest
 
 from addon_tests.pure.frame_makers import NEEDS_OPENEXR
 from xihenet import exr
-from xihenet.exr import OtherExr, exr_sizes, read_exr, write_exr
+from xihenet.exr import OtherExr, exr_attributes, exr_sizes, read_exr, read_stored_exr, write_exr
 from xihenet.picture_size import picked_pixels
 
 KINDS = (np.float32, np.float16, np.uint32)
@@ -40,16 +40,41 @@ def assert_equal(back, channels):
         np.testing.assert_array_equal(back[name], values.astype(np.float32), err_msg=name)
 
 
-@pytest.mark.parametrize("compression", ["none", "ZIPS", "ZIP"])
-@pytest.mark.parametrize("size", [(1, 1), (1, 7), (16, 3), (17, 5), (33, 64)])
+FORMS = pytest.mark.parametrize("compression", ["none", "ZIPS", "ZIP"])
+
+
+@FORMS
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (16, 3), (17, 5), (33, 64), (600, 3)])
 def test_what_is_written_comes_back(tmp_path, compression, size):
     channels = picture(3, *size)
-    write_exr(tmp_path / "a.exr", channels, compression=compression)
+    write_exr(tmp_path / "a.exr", channels, compression=compression, attributes={"time": 0.25})
     assert_equal(read_exr(tmp_path / "a.exr"), channels)
+    said, stored = read_stored_exr(tmp_path / "a.exr")
+    assert said == exr_attributes(tmp_path / "a.exr") and said["time"] == 0.25
+    assert {name: values.dtype for name, values in stored.items()} == {name: v.dtype for name, v in channels.items()}
+    assert_equal({name: values.astype(np.float32) for name, values in stored.items()}, channels)
+
+
+def test_rows_without_compression_may_lie_anywhere(tmp_path):
+    channels, n_rows = picture(8, 600, 5), 600
+    write_exr(tmp_path / "a.exr", channels, compression="none")
+    content = (tmp_path / "a.exr").read_bytes()
+    row_bytes = 8 + 5 * sum(values.itemsize for values in channels.values())
+    start = len(content) - n_rows * row_bytes
+    table = start - 8 * n_rows
+    offsets = np.frombuffer(content, "<u8", n_rows, table)
+    assert offsets[0] == start and (np.diff(offsets) == row_bytes).all()
+    order = np.random.default_rng(2).permutation(n_rows)
+    rows = b"".join(content[at : at + row_bytes] for at in offsets[order].tolist())
+    (tmp_path / "b.exr").write_bytes(content[:table] + offsets[np.argsort(order)].tobytes() + rows)
+    assert_equal(read_exr(tmp_path / "b.exr"), channels)
+    (tmp_path / "b.exr").write_bytes(content[:table] + offsets[order].tobytes() + content[start:])
+    with pytest.raises(ValueError, match=r"b\.exr: its pixels cannot be read"):
+        read_exr(tmp_path / "b.exr")
 
 
 @NEEDS_OPENEXR
-@pytest.mark.parametrize("compression", ["none", "ZIPS", "ZIP"])
+@FORMS
 @pytest.mark.parametrize("size", [(1, 1), (17, 5), (33, 64)])
 def test_the_openexr_package_reads_what_is_written(tmp_path, compression, size):
     import OpenEXR
@@ -140,7 +165,7 @@ def test_a_small_file_that_holds_gigabytes_is_not_unpacked(tmp_path, monkeypatch
         read_exr(tmp_path / "a.exr")
 
 
-@pytest.mark.parametrize("compression", ["none", "ZIP"])
+@FORMS
 def test_a_file_that_is_cut_short_anywhere_is_refused(tmp_path, compression):
     write_exr(tmp_path / "a.exr", picture(5, 17, 4), compression=compression)
     content = (tmp_path / "a.exr").read_bytes()
