@@ -59,5 +59,5 @@ class Calibration:
             factor, power, slope = map(float, figures["error_scale"])
             quantiles = tuple(float(figures["error_quantiles"][f"{share:.2f}"]) for share in SHARES_ASKED)
             return cls(factor, power, slope, quantiles)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"figures: expected error_scale and error_quantiles ({error})") from None

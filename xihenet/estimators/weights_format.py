@@ -156,6 +156,8 @@ def _weights_from(
             raise ValueError(f"{name}: expected float16 or float32, got {array.dtype}")
     arrays = {name: np.asarray(array, np.float32) for name, array in content.items()}
     notes = {name: header[name] for name in ("data", "seed", "figures", "estimator", "n_points") if name in header}
+    if not isinstance(notes.get("figures", {}), dict):
+        raise ValueError(f"figures: expected a JSON object, got {notes['figures']!r:.80}")
     return NetworkWeights(architecture, header["target"], arrays, **notes)
 
 

@@ -35,7 +35,7 @@ UNITS_PER_METRE, FPS = 1000, 30
 # Without pictures between pictures, as phones record: with them short videos could not be written, at times.
 ENCODERS = {"libx265": {"x265-params": "log-level=none:bframes=0:rc-lookahead=10:frame-threads=2"}, "libx264": {}}
 PRESET = "veryfast"  # The default takes nearly three times as long, 0.65 s for 1792x1344 on two busy cores
-QUALITY = "12"  # Constant rate factor: differences are hard to see
+QUALITY = "4"  # Constant rate factor; 12 takes half the bytes, and moves the light of a room by 1.3 % in place of 0.9 %
 BT709, LIMITED = 1, 1  # As phones say, in the numbers of ITU-T H.273
 
 
