@@ -239,7 +239,3 @@ def ratio_of_medians(pairs: NDArray[Any]) -> float:
     """As `ratio_of_means`, for times."""
     first, second = np.median(pairs, axis=0)
     return float(first / second)
-
-
-def root_mean_square(errors: NDArray[Any]) -> float:
-    return float(np.sqrt(np.mean(np.square(errors))))
