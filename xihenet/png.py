@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
+LEVEL = 4  # The usual 6 takes three times as long, for files that are a twentieth smaller
 _RGB_8_BIT = struct.pack(">BBBBB", 8, 2, 0, 0, 0)
 
 
@@ -26,7 +27,7 @@ def encode_png(srgb_u8: ArrayLike) -> bytes:
     left = np.concatenate([np.zeros_like(pixels[:, :1]), pixels[:, :-1]], axis=1)
     rows = np.concatenate([np.ones((height, 1), np.uint8), (pixels - left).reshape(height, -1)], axis=1)
     header = struct.pack(">II", width, height) + _RGB_8_BIT
-    chunks = ((b"IHDR", header), (b"sRGB", b"\0"), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
+    chunks = ((b"IHDR", header), (b"sRGB", b"\0"), (b"IDAT", zlib.compress(rows.tobytes(), LEVEL)), (b"IEND", b""))
     return SIGNATURE + b"".join(_chunk(kind, content) for kind, content in chunks)
 
 

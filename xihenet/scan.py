@@ -46,6 +46,9 @@ MOST_BLOCKS = 40_000
 SMALLEST_PIECE = 25
 """Faces; pieces with fewer are noise."""
 
+BLOCKS_AT_ONCE = 64
+"""What the passes over their voxels touch stays in the cache."""
+
 OFFSET = 0.37
 """Of voxels from multiples of their distance: on modelled walls, which like to lie at these, every distance would be 0,
 and its sign that of an error of rounding."""
@@ -109,21 +112,28 @@ class Scan:
         if not len(slots):
             return
         reach_m = self.settings.voxel_m * self.settings.reach_voxels
-        local = np.indices((SIDE, SIDE, SIDE)).reshape(3, -1).T
+        ends_m = seen.ends_m(reach_m)
+        for start in range(0, len(slots), BLOCKS_AT_ONCE):
+            self._average(seen, slots[start : start + BLOCKS_AT_ONCE], reach_m, ends_m)
+
+    def _average(self, seen: _Seen, slots: ArrayInt, reach_m: float, ends_m: ArrayF32) -> None:
+        """Take in what a frame shows of the blocks at these places."""
+        local = np.indices((SIDE, SIDE, SIDE)).reshape(3, -1)
         axes = seen.world_from_camera[:3, :3]
         corners_m = (self._blocks[slots] * SIDE + OFFSET) * self.settings.voxel_m
-        corners = (corners_m - seen.world_from_camera[:3, 3]) @ axes
-        points = corners.astype(np.float32)[:, None] + (local * self.settings.voxel_m @ axes).astype(np.float32)
-        voxels, distances_m, weights, pixels = seen.distances(points.reshape(-1, 3), reach_m)
+        corners = (axes.T @ (corners_m - seen.world_from_camera[:3, 3]).T).astype(np.float32)
+        points = corners[:, :, None] + (axes.T @ local * self.settings.voxel_m).astype(np.float32)[:, None]
+        points = points.reshape(3, -1)
+        voxels, distances_m, weights, pixels = seen.distances(points, reach_m, ends_m)
         voxels = slots[voxels // SIDE**3] * SIDE**3 + voxels % SIDE**3
         known, total = self._distances.reshape(-1), self._weights.reshape(-1)
-        after = total[voxels] + weights
-        known[voxels] += (distances_m - known[voxels]) * weights / after
+        before, after = known[voxels], total[voxels] + weights
+        known[voxels] = before + (distances_m - before) * weights / after
         total[voxels] = after
-        is_near = np.abs(distances_m) < reach_m
-        coloured = np.empty((int(is_near.sum()), 4), np.float32)
-        coloured[:, :3], coloured[:, 3] = seen.light[pixels[is_near]], 1
-        self._colours.reshape(-1, 4)[voxels[is_near]] += coloured * weights[is_near, None]
+        near = np.flatnonzero(np.abs(distances_m) < reach_m)
+        coloured = seen.light.take(pixels[near], axis=0)
+        coloured *= weights[near].repeat(4).reshape(-1, 4)  # Faster than one factor for each four
+        self._colours.reshape(-1, 4)[voxels[near]] += coloured
 
     def _touched(self, seen: _Seen) -> ArrayInt:
         """Places of the blocks around the surfaces of a frame, made where they are new."""
@@ -211,7 +221,7 @@ class _Seen:
     """One frame, as its voxels ask about it.
 
     `inverse` (H, W) is 1 / plane depth, NaN where that is not to be used, `facing` (H, W) the share of a step along the
-    ray that leads towards the surface, over plane depth, and `light` (H * W, 3) linear colour.
+    ray that leads towards the surface, over plane depth, and `light` (H * W, 4) linear colour and 1.
     """
 
     intrinsics: Intrinsics
@@ -236,7 +246,9 @@ class _Seen:
         light = srgb_to_linear(np.arange(256) / 255.0)
         gains = exposure / frame.exposure / (np.ones(3) if frame.white_balance is None else frame.white_balance)
         linear = np.stack([(light * gains[channel])[srgb[..., channel]] for channel in range(3)], axis=-1)
-        return cls(k, frame.world_from_camera, inverse, facing, linear.reshape(-1, 3).astype(np.float32))
+        coloured = np.ones((height * width, 4), np.float32)
+        coloured[:, :3] = linear.reshape(-1, 3)
+        return cls(k, frame.world_from_camera, inverse, facing, coloured)
 
     def surface_points(self) -> tuple[ArrayF64, ArrayF64]:
         """(K, 3) some of the points that are seen, world, metres, and unit rays (K, 3) to them."""
@@ -250,20 +262,24 @@ class _Seen:
         points_m = self.world_from_camera[:3, 3] + rays / self.inverse[rows, columns].astype(np.float64)[:, None]
         return points_m, rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
-    def distances(self, points: ArrayF32, reach_m: float) -> tuple[ArrayInt, ArrayF32, ArrayF32, ArrayInt]:
-        """Of points (N, 3) in the camera's frame: which (K,) are known of, their distances in front of the surface,
+    def distances(
+        self, points: ArrayF32, reach_m: float, ends_m: ArrayF32
+    ) -> tuple[ArrayInt, ArrayF32, ArrayF32, ArrayInt]:
+        """Of points (3, N) in the camera's frame: which (K,) are known of, their distances in front of the surface,
         at most `reach_m` and no further behind it, the weights of these, and the pixels that show it."""
-        k = self.intrinsics
-        depth_m = -points[:, 2]
+        k, inverse = self.intrinsics, self.inverse.reshape(-1)
+        depth_m = -points[2]
         with np.errstate(divide="ignore", invalid="ignore"):  # In the camera's own plane, which is not seen.
-            x = points[:, 0] * np.float32(k.fx) / depth_m + np.float32(k.cx - 0.5)
-            y = np.float32(k.cy - 0.5) - points[:, 1] * np.float32(k.fy) / depth_m
+            x = points[0] * np.float32(k.fx) / depth_m + np.float32(k.cx - 0.5)
+            y = np.float32(k.cy - 0.5) - points[1] * np.float32(k.fy) / depth_m
             is_seen = (depth_m > NEAREST_M) & (x >= 0) & (y >= 0) & (x < k.width - 1) & (y < k.height - 1)
         found = np.flatnonzero(is_seen)
         x, y, depth_m = x[found], y[found], depth_m[found]
-        left, top = x.astype(np.int64), y.astype(np.int64)
-        right, down = x - left, y - top
-        corner, inverse = top * k.width + left, self.inverse.reshape(-1)
+        left, top = x.astype(np.int32), y.astype(np.int32)
+        corner = (top * np.int32(k.width) + left).astype(np.intp)
+        near = np.flatnonzero(depth_m < ends_m.take(corner))  # Half of all: the rest is not looked at any further.
+        found, depth_m, corner = found[near], depth_m[near], corner[near]
+        right, down = x[near] - left[near], y[near] - top[near]
         above = inverse[corner] * (1 - right) + inverse[corner + 1] * right
         below = inverse[corner + k.width] * (1 - right) + inverse[corner + k.width + 1] * right
         between = above * (1 - down) + below * down
@@ -274,6 +290,15 @@ class _Seen:
         kept = np.flatnonzero(is_known)
         weights = facing[kept] * between[kept] ** 2
         return found[kept], np.minimum(distances_m[kept], reach_m), weights, pixel[kept]
+
+    def ends_m(self, reach_m: float) -> ArrayF32:
+        """(H, W) a plane depth beyond which nothing between this pixel and the next ones, right and down, is known of;
+        the last row and column are not used."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            behind = np.stack([1 / self.inverse, reach_m / self.facing])
+        pairs = np.maximum(behind[:, :-1], behind[:, 1:])
+        ends = np.maximum(pairs[..., :-1], pairs[..., 1:]).sum(axis=0) * 1.0001  # For rounding
+        return np.pad(np.nan_to_num(ends, nan=0.0, posinf=np.inf), ((0, 1), (0, 1)))
 
 
 def _clear(inverse: ArrayF32, k: Intrinsics) -> tuple[ArrayF32, ArrayF32]:

@@ -135,3 +135,27 @@ def test_the_same_frames_give_the_same_bytes():
     frames = walk(K, 4)
     one, other = mesh_of(frames), mesh_of(frames)
     assert one.points_m.tobytes() == other.points_m.tobytes() and one.quads.tobytes() == other.quads.tobytes()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_not_looked_at_any_further_would_not_count(seed):
+    generator = np.random.default_rng(seed)
+    # Smooth depth and noise, with holes and jumps, and points all around it, behind the camera too.
+    depth_m = 2 + generator.normal(0, 0.003, (96, 128)) + np.linspace(0, generator.uniform(0, 2), 128)
+    depth_m[generator.random(depth_m.shape) < 0.1] = generator.choice([0, np.nan, np.inf, 0.5, 4.9])
+    frame = RgbdFrame(np.full((96, 128, 3), 128, np.uint8), depth_m.astype(np.float32), K, np.eye(4))
+    points = generator.uniform([[-2], [-2], [-5]], [[2], [2], [0.5]], (3, 100_000)).astype(np.float32)
+    frames_view, reach_m = scans._Seen.of(frame, 1.0), 0.06
+    fast = frames_view.distances(points, reach_m, frames_view.ends_m(reach_m))
+    plain = frames_view.distances(points, reach_m, np.full((96, 128), np.inf, np.float32))
+    assert len(plain[0]) > 1000
+    for one, other in zip(fast, plain, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_batches_of_blocks_change_nothing(monkeypatch):
+    frames = walk(K, 3)
+    one = mesh_of(frames)
+    monkeypatch.setattr(scans, "BLOCKS_AT_ONCE", 7)
+    other = mesh_of(frames)
+    assert one.points_m.tobytes() == other.points_m.tobytes() and one.colours.tobytes() == other.colours.tobytes()
