@@ -1,5 +1,7 @@
 """What all tests share. Hypothesis does not judge by the clock, since a busy machine is no defect."""
 
+import os
+import sys
 import time
 
 import pytest
@@ -9,6 +11,8 @@ import addon_tests.fuzz  # noqa: F401  registers the profile of the search
 from addon_tests.hard_case import comes_out, table
 
 __all__ = ["comes_out"]
+
+EXIT_STATUS = pytest.StashKey[int]()
 
 settings.register_profile("any_machine", deadline=None)
 settings.load_profile("any_machine")
@@ -22,6 +26,21 @@ def pytest_addoption(parser):
 def pytest_runtest_setup(item):
     if time.time() > item.config.getoption("until"):
         pytest.skip("the time of the search is up")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session, exitstatus):
+    session.config.stash[EXIT_STATUS] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    """The wheel of Blender 4.5 waits for a thread of its own for ever where anything still refers to it at the end."""
+    bpy, is_worker = sys.modules.get("bpy"), hasattr(config, "workerinput")
+    if bpy is not None and bpy.app.module and EXIT_STATUS in config.stash and not is_worker:
+        config.get_terminal_writer().flush()
+        sys.stderr.flush()
+        os._exit(config.stash[EXIT_STATUS])
 
 
 def pytest_terminal_summary(terminalreporter, config):
