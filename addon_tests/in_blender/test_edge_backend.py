@@ -68,6 +68,6 @@ def test_an_edge_server_that_is_not_there_is_one_line(tmp_path, addon_for_small_
     with EdgeServer() as server:
         url = f"http://127.0.0.1:{server.port}"
     walk_for_the_panel(tmp_path / "runs", estimator="lattice", uses_edge_server=True, edge_server=url)
-    with pytest.raises(RuntimeError, match=f"{url} does not answer") as told:
+    with pytest.raises(RuntimeError, match=f"Edge Server: {url} does not answer") as told:
         bpy.ops.xihe.run()
     assert len(str(told.value).strip().splitlines()) == 1

@@ -15,6 +15,8 @@ FAILURES = (UserError, OSError, ReferenceError)
 
 IN_THE_PANEL = {
     "--estimator": "Estimator",
+    "--backend": "Edge Server",
+    "--light": "Light",
     "--others": "Compare With",
     "--frames": "Own Frames",
     "--network": "Network",
