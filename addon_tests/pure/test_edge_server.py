@@ -21,7 +21,7 @@ from xihenet.edge.batching import Inference
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.protocol import read_published
 from xihenet.edge.service import ServiceSettings
-from xihenet.edge.sessions import StoreLimits
+from xihenet.edge.sessions import SeenPosition, StoreLimits
 from xihenet.light.key_light import split_light
 from xihenet.metrics import shc_rmse
 from xihenet.records import UnitSphereCloud
@@ -104,6 +104,22 @@ def test_the_clean_form_gives_the_same_light_for_the_same_frames(server):
         assert status == 200
         ours = sh_from(answer["coefficients"], "z-up")
         assert np.allclose(sh_from(published, "unity"), ours, atol=1e-6)
+
+
+@pytest.mark.parametrize("n_stored", [0, 768])
+def test_a_stored_position_that_does_not_fit_its_session_is_replaced(server, n_stored):
+    session, token = server.opened(n_anchors=N)
+    stored = SeenPosition(UnitSphereCloud.empty(n_stored), position_m=np.zeros(3))
+    for name in ("vase", "lamp"):
+        assert server.service.store.put_position(session, name, stored, None)
+    status, told, _ = server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)
+    assert status == 200 and told["positions"]["vase"]["coverage"] == 0
+    cloud, here = cloud_of(6), {"Xihe_Position": "0,1,0"}
+    payload = encode_cloud(cloud, "float32_stripped")
+    for n_frames in (1, 2):
+        status, answer = server.light(session, token, payload, query="?share=yes", **here)
+        assert status == 200 and answer["coverage"] == cloud.is_set.mean() and answer["n_shared_anchors"] == 0
+        assert server.service.store.position(session, "vase").n_frames == n_frames
 
 
 def test_an_answer_says_what_is_known_of_the_light(server, lattice):

@@ -195,7 +195,9 @@ class EdgeService:
         start, is_kept = time.perf_counter(), False
         while not is_kept:
             before = self.store.position(session.id, name)
-            after = self._merged(before, sent, wishes)
+            # What does not fit its session, which only another hand can have put there, is replaced.
+            known = before if before is not None and _fits(before, session) else None
+            after = self._merged(known, sent, wishes)
             with self._kept():
                 is_kept = self.store.put_position(session.id, name, after, before)
         self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
@@ -219,7 +221,8 @@ class EdgeService:
     def _shared(self, session: Session, name: str, seen: SeenPosition) -> UnitSphereCloud:
         if seen.position_m is None:
             raise Refused(400, "sharing needs to know where the position is: send its header")
-        others = [other for label, other in self.store.positions(session.id).items() if label != name]
+        known = self.store.positions(session.id)
+        others = [other for label, other in known.items() if label != name and _fits(other, session)]
         return with_others(seen, others, AnchorLattice(session.n_anchors))
 
     async def _inferred(self, job: Job) -> Answered:
@@ -263,3 +266,8 @@ class EdgeService:
     def _refuse_full(self, what: str, message: str) -> NoReturn:
         self.metrics.count("xihe_refused_total", what=what)
         raise Refused(503, f"{message}: try again later", self.settings.retry_after_s)
+
+
+def _fits(seen: SeenPosition, session: Session) -> bool:
+    """Whether a position has the number of anchors of its session; a store outside may hold others."""
+    return len(seen.cloud) == session.n_anchors

@@ -8,6 +8,7 @@ import json
 import math
 from typing import Any
 
+from xihenet.completeness import coverage
 from xihenet.edge import protocol
 from xihenet.edge.axes import OUR_AXES, PUBLISHED_AXES, checked_axes
 from xihenet.edge.extras import Wishes
@@ -188,7 +189,7 @@ def _described(service: EdgeService, session: Session) -> dict[str, Any]:
         "positions": {
             name: {
                 "n_frames": seen.n_frames,
-                "coverage": float(seen.cloud.is_set.mean()),
+                "coverage": coverage(seen.cloud),
                 "exposure": seen.exposure,
             }
             for name, seen in positions.items()
