@@ -59,6 +59,7 @@ class WireFormat:
         return self.record.itemsize
 
 
+_ONE_COLOUR = np.dtype("V12")
 _INDEX = ("anchor", "<u2")
 _FLOAT32 = [("srgb", "<f4", (3,)), ("distance_m", "<f4")]
 _UINT8_FLOAT16 = [("srgb", "u1", (3,)), ("distance_m", "<f2")]
@@ -135,6 +136,12 @@ def _largest_code(stored: np.dtype[Any]) -> int:
     return int(np.iinfo(stored).max)
 
 
+@functools.cache
+def _code_of_infinity(stored: np.dtype[Any]) -> NDArray[Any]:
+    """Infinity in floats of this kind, as a whole number of as many bits."""
+    return np.array(np.inf, stored).view(f"<u{stored.itemsize}")
+
+
 def facing_of_codes(codes: NDArray[np.int8]) -> ArrayF32:
     """The cosines that `facing_codes` gave, of the same shape."""
     return codes / np.float32(127)
@@ -161,8 +168,7 @@ def decode_cloud(
     """
     wire_format = _format_for(method, n_anchors)
     records = _records_of(payload, n_anchors, method)
-    distance_m = records["distance_m"].astype(np.float32)
-    _refuse(~((distance_m >= 0) & (distance_m < np.inf)), "a finite distance >= 0", distance_m)
+    distance_m = _decoded_distance(records["distance_m"])
     srgb = _decoded_colour(records["srgb"])
     if not wire_format.is_stripped:
         is_set = distance_m > 0
@@ -171,8 +177,9 @@ def decode_cloud(
     anchor = _checked_anchors(records["anchor"], n_anchors)
     all_srgb, all_distance_m = np.zeros((n_anchors, 3), np.float32), np.zeros(n_anchors, np.float32)
     is_set = np.zeros(n_anchors, np.bool_)
-    # The absolute value turns -0, which some float16 pattern is, into 0.
-    all_srgb[anchor], all_distance_m[anchor], is_set[anchor] = srgb, np.abs(distance_m), True
+    # A colour is put as one piece, in half the time of three numbers. The absolute value turns -0 into 0.
+    all_srgb.view(_ONE_COLOUR)[anchor] = srgb.view(_ONE_COLOUR)
+    all_distance_m[anchor], is_set[anchor] = np.abs(distance_m), True
     surfaces = (
         _decoded_facing(records["facing"], anchor, n_anchors) if "facing" in (records.dtype.names or ()) else None
     )
@@ -190,6 +197,16 @@ def _records_of(payload: bytes | bytearray | memoryview, n_anchors: int, method:
     if not wire_format.is_stripped and n_bytes != n_anchors * size:
         raise ValueError(f"codec: {method} expected {n_anchors * size} bytes, got {n_bytes}")
     return np.frombuffer(payload, wire_format.record) if n_bytes else np.empty(0, wire_format.record)
+
+
+def _decoded_distance(stored: NDArray[Any]) -> ArrayF32:
+    """(R,) float32, finite and >= 0; some may be -0."""
+    distance_m = stored.astype(np.float32)
+    infinite = _code_of_infinity(stored.dtype)
+    # As whole numbers, floats from infinity on are those that are refused, and -0.
+    if np.count_nonzero(stored.view(infinite.dtype) >= infinite):
+        _refuse(~((distance_m >= 0) & (distance_m < np.inf)), "a finite distance >= 0", distance_m)
+    return distance_m
 
 
 def _decoded_colour(stored: NDArray[Any]) -> ArrayF32:
@@ -215,9 +232,10 @@ def _decoded_facing(stored: NDArray[Any], anchor: ArrayInt, n_anchors: int) -> A
 def _checked_anchors(stored: NDArray[Any], n_anchors: int) -> ArrayInt:
     """Anchor indices, each in range and there once."""
     anchor = stored.astype(np.intp)
-    _refuse(anchor >= n_anchors, f"an anchor below {n_anchors}", anchor)
-    if (anchor[1:] > anchor[:-1]).all():  # As encoders write them, and then none is repeated.
+    is_rising = not np.count_nonzero(anchor[1:] <= anchor[:-1])
+    if is_rising and not (len(anchor) and anchor[-1] >= n_anchors):  # As encoders write them.
         return anchor
+    _refuse(anchor >= n_anchors, f"an anchor below {n_anchors}", anchor)
     _, first = np.unique(anchor, return_index=True)
     if len(first) < len(anchor):
         is_repeated = np.ones(len(anchor), np.bool_)
@@ -228,6 +246,6 @@ def _checked_anchors(stored: NDArray[Any], n_anchors: int) -> ArrayInt:
 
 def _refuse(is_wrong: ArrayBool, expected: str, values: NDArray[Any]) -> None:
     """ValueError that names the first wrong record, if there is one."""
-    if is_wrong.any():
+    if np.count_nonzero(is_wrong):
         record = int(np.argmax(is_wrong))
         raise ValueError(f"codec: record {record}: expected {expected}, got {values[record].tolist()}")

@@ -23,7 +23,7 @@ from urllib.parse import parse_qs, unquote_to_bytes
 from xihenet import __version__
 from xihenet.edge import protocol
 from xihenet.edge.http_settings import MAX_BODY_BYTES, ServerSettings
-from xihenet.edge.requests import Request
+from xihenet.edge.requests import Request, headers_text
 from xihenet.edge.service import EdgeService, Refused
 from xihenet.edge.sessions import StoreLost
 
@@ -99,7 +99,7 @@ class Handler:
             self.prepare()
             going = self._method()(*(_unquoted(part) for part in sent))
             if going is not None:
-                self.site.keep(asyncio.ensure_future(self._waited_for(going)))
+                self.site.keep(asyncio.create_task(self._waited_for(going)))
         except Exception as error:  # noqa: BLE001  whatever it is, it is answered, and logged if it is a fault of ours
             self.refuse(error)
 
@@ -149,16 +149,17 @@ class Handler:
 
     def finish(self, status: int, body: bytes = b"", content_type: str = "") -> None:
         """Send the answer, count it and log it."""
-        headers = {**OF_ALL_ANSWERS, "Date": _date(int(time.time())), **self._for_origin(), **self.headers}
+        headers = {**self._for_origin(), **self.headers}
         if status != 204:
             headers |= {"Content-Type": content_type, "Content-Length": str(len(body))}
-        self.request.send(HTTPStatus(status), headers, body)
+        self.request.send(HTTPStatus(status), _head_of_all(int(time.time())) + headers_text(headers), body)
         self._count(status)
 
     def _for_origin(self) -> Mapping[str, str]:
         """What a browser needs to be told before it lets a page have the answer."""
-        origin, allowed = self.request.headers.get("Origin"), self.site.settings.origins
-        if origin is None or not allowed:
+        allowed = self.site.settings.origins
+        origin = self.request.headers.get("Origin") if allowed else None
+        if origin is None:
             return {}
         if "*" not in allowed and origin not in allowed:
             return {"Vary": "Origin"}
@@ -234,8 +235,8 @@ def logged_to(stream: Any) -> Iterator[None]:
 
 
 @functools.lru_cache(maxsize=1)
-def _date(second: int) -> str:
-    return formatdate(second, usegmt=True)
+def _head_of_all(second: int) -> str:
+    return headers_text({**OF_ALL_ANSWERS, "Date": formatdate(second, usegmt=True)})
 
 
 def _unquoted(part: str) -> str:

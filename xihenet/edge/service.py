@@ -204,19 +204,14 @@ class EdgeService:
         return after
 
     def _merged(self, before: SeenPosition | None, sent: CloudSent, wishes: Wishes) -> SeenPosition:
-        if before is None or wishes.replaces:
-            after = SeenPosition(sent.cloud, sent.exposure, sent.position_m)
-        else:
-            after = self._moved(before, sent.position_m)
-            after = replace(after, cloud=merge(after.cloud, re_exposed(sent.cloud, after.exposure / sent.exposure)))
-        return replace(after, n_frames=(before.n_frames if before else 0) + 1, key=before.key if before else None)
-
-    def _moved(self, seen: SeenPosition, position_m: ArrayF64 | None) -> SeenPosition:
-        """What was seen, as it looks from `position_m`, if the client says that its position is there now."""
-        if position_m is None or seen.position_m is None or np.array_equal(position_m, seen.position_m):
-            return seen if position_m is None else replace(seen, position_m=position_m)
-        moved = sample_again(seen.cloud, position_m - seen.position_m, AnchorLattice(len(seen.cloud)))
-        return replace(seen, cloud=moved, position_m=position_m)
+        if before is None:
+            return SeenPosition(sent.cloud, sent.exposure, sent.position_m, n_frames=1)
+        key, n_frames = before.key, before.n_frames + 1
+        if wishes.replaces:
+            return SeenPosition(sent.cloud, sent.exposure, sent.position_m, key, n_frames)
+        position_m = before.position_m if sent.position_m is None else sent.position_m
+        cloud = merge(_seen_from(before, position_m), re_exposed(sent.cloud, before.exposure / sent.exposure))
+        return SeenPosition(cloud, before.exposure, position_m, key, n_frames)
 
     def _shared(self, session: Session, name: str, seen: SeenPosition) -> UnitSphereCloud:
         if seen.position_m is None:
@@ -266,6 +261,13 @@ class EdgeService:
     def _refuse_full(self, what: str, message: str) -> NoReturn:
         self.metrics.count("xihe_refused_total", what=what)
         raise Refused(503, f"{message}: try again later", self.settings.retry_after_s)
+
+
+def _seen_from(seen: SeenPosition, position_m: ArrayF64 | None) -> UnitSphereCloud:
+    """What was seen of a position, as it looks from `position_m`, where the position is now."""
+    if position_m is None or seen.position_m is None or np.array_equal(position_m, seen.position_m):
+        return seen.cloud
+    return sample_again(seen.cloud, position_m - seen.position_m, AnchorLattice(len(seen.cloud)))
 
 
 def _fits(seen: SeenPosition, session: Session) -> bool:
