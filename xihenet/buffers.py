@@ -33,8 +33,10 @@ def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
 
 def _taken(old: UnitSphereCloud, new: UnitSphereCloud) -> ArrayBool:
     """(N,) anchors that are as in `new` after merging."""
-    is_near = old.is_set & (old.distance_m < FAR_FROM_M)
-    taken: ArrayBool = new.is_set & ~(is_near & (new.distance_m >= FAR_FROM_M))
+    is_far = new.distance_m >= FAR_FROM_M
+    if not np.count_nonzero(is_far):  # As in most rooms
+        return new.is_set
+    taken: ArrayBool = new.is_set & ~(is_far & old.is_set & (old.distance_m < FAR_FROM_M))
     return taken
 
 

@@ -59,7 +59,6 @@ class WireFormat:
         return self.record.itemsize
 
 
-_ONE_COLOUR = np.dtype("V12")
 _INDEX = ("anchor", "<u2")
 _FLOAT32 = [("srgb", "<f4", (3,)), ("distance_m", "<f4")]
 _UINT8_FLOAT16 = [("srgb", "u1", (3,)), ("distance_m", "<f2")]
@@ -168,22 +167,21 @@ def decode_cloud(
     """
     wire_format = _format_for(method, n_anchors)
     records = _records_of(payload, n_anchors, method)
-    distance_m = _decoded_distance(records["distance_m"])
-    srgb = _decoded_colour(records["srgb"])
+    distance_m, stored = _decoded_distance(records["distance_m"]), _checked_colour(records["srgb"])
     if not wire_format.is_stripped:
-        is_set = distance_m > 0
+        is_set, srgb = distance_m > 0, _decoded_colour(stored)
         without = counted(colour_without_distance=np.count_nonzero(srgb[~is_set].any(axis=1)))
-        return UnitSphereCloud(srgb * is_set[:, None], np.abs(distance_m), is_set, without)
-    anchor = _checked_anchors(records["anchor"], n_anchors)
-    all_srgb, all_distance_m = np.zeros((n_anchors, 3), np.float32), np.zeros(n_anchors, np.float32)
-    is_set = np.zeros(n_anchors, np.bool_)
-    # A colour is put as one piece, in half the time of three numbers. The absolute value turns -0 into 0.
-    all_srgb.view(_ONE_COLOUR)[anchor] = srgb.view(_ONE_COLOUR)
-    all_distance_m[anchor], is_set[anchor] = np.abs(distance_m), True
+        return UnitSphereCloud(srgb * is_set[:, None], distance_m, is_set, without)
+    anchor = records["anchor"].astype(np.intp)
+    is_set = _checked_set(anchor, n_anchors)
+    all_stored, all_distance_m = np.zeros((n_anchors, 3), stored.dtype), np.zeros(n_anchors, np.float32)
+    # A colour is put as one piece, in half the time of three numbers.
+    piece = f"V{3 * stored.itemsize}"
+    all_stored.view(piece)[anchor], all_distance_m[anchor] = stored.view(piece), distance_m
     surfaces = (
         _decoded_facing(records["facing"], anchor, n_anchors) if "facing" in (records.dtype.names or ()) else None
     )
-    return UnitSphereCloud.trusted(all_srgb, all_distance_m, is_set, {}, surfaces)
+    return UnitSphereCloud.trusted(_decoded_colour(all_stored), all_distance_m, is_set, {}, surfaces)
 
 
 def _records_of(payload: bytes | bytearray | memoryview, n_anchors: int, method: EncodingMethod) -> NDArray[Any]:
@@ -200,22 +198,30 @@ def _records_of(payload: bytes | bytearray | memoryview, n_anchors: int, method:
 
 
 def _decoded_distance(stored: NDArray[Any]) -> ArrayF32:
-    """(R,) float32, finite and >= 0; some may be -0."""
+    """(R,) float32, finite and >= 0."""
     distance_m = stored.astype(np.float32)
     infinite = _code_of_infinity(stored.dtype)
-    # As whole numbers, floats from infinity on are those that are refused, and -0.
-    if np.count_nonzero(stored.view(infinite.dtype) >= infinite):
+    # As whole numbers, floats from infinity on are those that are refused, and -0, which becomes 0.
+    if stored.view(infinite.dtype).max(initial=0) >= infinite:
         _refuse(~((distance_m >= 0) & (distance_m < np.inf)), "a finite distance >= 0", distance_m)
+        return np.abs(distance_m)
     return distance_m
 
 
+def _checked_colour(stored: NDArray[Any]) -> NDArray[Any]:
+    """(R, 3) as it came; codes cannot lie outside of [0, 1], floats are checked."""
+    if stored.dtype.kind != "u":
+        _refuse(~((stored >= 0) & (stored <= 1)).all(axis=1), "colours in [0, 1]", stored)
+    return stored
+
+
 def _decoded_colour(stored: NDArray[Any]) -> ArrayF32:
-    """(R, 3) float32 in [0, 1]; codes cannot lie outside, floats are checked."""
-    if stored.dtype.kind == "u":
-        return stored.astype(np.float32) / np.float32(_largest_code(stored.dtype))
+    """(R, 3) float32 in [0, 1]."""
     colour = stored.astype(np.float32)
-    _refuse(~((colour >= 0) & (colour <= 1)).all(axis=1), "colours in [0, 1]", colour)
-    return np.abs(colour)  # -0 becomes 0, as it does for distances.
+    if stored.dtype.kind != "u":
+        return np.abs(colour)  # -0 becomes 0, as it does for distances.
+    colour /= np.float32(_largest_code(stored.dtype))
+    return colour
 
 
 def _decoded_facing(stored: NDArray[Any], anchor: ArrayInt, n_anchors: int) -> AnchorSurfaces | None:
@@ -229,19 +235,18 @@ def _decoded_facing(stored: NDArray[Any], anchor: ArrayInt, n_anchors: int) -> A
     return AnchorSurfaces.of_facing(facing)
 
 
-def _checked_anchors(stored: NDArray[Any], n_anchors: int) -> ArrayInt:
-    """Anchor indices, each in range and there once."""
-    anchor = stored.astype(np.intp)
-    is_rising = not np.count_nonzero(anchor[1:] <= anchor[:-1])
-    if is_rising and not (len(anchor) and anchor[-1] >= n_anchors):  # As encoders write them.
-        return anchor
-    _refuse(anchor >= n_anchors, f"an anchor below {n_anchors}", anchor)
-    _, first = np.unique(anchor, return_index=True)
-    if len(first) < len(anchor):
+def _checked_set(anchor: ArrayInt, n_anchors: int) -> ArrayBool:
+    """(n_anchors,) whether an anchor is among (R,), which are each in range and there once."""
+    is_set = np.zeros(n_anchors, np.bool_)
+    try:
+        is_set[anchor] = True
+    except IndexError:
+        _refuse(anchor >= n_anchors, f"an anchor below {n_anchors}", anchor)
+    if np.count_nonzero(is_set) < len(anchor):
         is_repeated = np.ones(len(anchor), np.bool_)
-        is_repeated[first] = False
+        is_repeated[np.unique(anchor, return_index=True)[1]] = False
         _refuse(is_repeated, "each anchor once", anchor)
-    return anchor
+    return is_set
 
 
 def _refuse(is_wrong: ArrayBool, expected: str, values: NDArray[Any]) -> None:

@@ -81,9 +81,9 @@ def read_published(body: bytes, n_anchors: int, axes: str) -> CloudSent:
         limits = f"a multiple of {RECORD_BYTES} and at most {RECORD_BYTES * n_anchors}"
         raise ValueError(f"expected a body whose bytes are {limits}, got {len(body)}")
     records, quirks = np.frombuffer(body, METHODS[_PUBLISHED_METHOD].record), {}
-    # Zero and infinity are the smallest and the largest codes of float16 but for those that `decode_cloud` refuses, and
-    # 1 less than 0 is beyond all.
-    if np.count_nonzero(records["distance_m"].view("<u2") - np.uint16(1) >= _INFINITE - 1):
+    # Zero and infinity are the smallest and the largest codes of float16 but for those that `decode_cloud` refuses.
+    codes = records["distance_m"].view("<u2")
+    if len(codes) and (codes.min() == 0 or codes.max() >= _INFINITE):
         is_zero, is_far = records["distance_m"] == 0, records["distance_m"] == np.inf
         is_dropped = is_zero & (records["anchor"] == 0) & ~records["srgb"].any(axis=1)
         n_dropped, n_zero = int(np.count_nonzero(is_dropped)), int(np.count_nonzero(is_zero))

@@ -265,7 +265,7 @@ class EdgeService:
 
 def _seen_from(seen: SeenPosition, position_m: ArrayF64 | None) -> UnitSphereCloud:
     """What was seen of a position, as it looks from `position_m`, where the position is now."""
-    if position_m is None or seen.position_m is None or np.array_equal(position_m, seen.position_m):
+    if position_m is None or seen.position_m is None or (position_m == seen.position_m).all():
         return seen.cloud
     return sample_again(seen.cloud, position_m - seen.position_m, AnchorLattice(len(seen.cloud)))
 

@@ -217,7 +217,8 @@ class MemoryStore:
         return sorted(owned, key=lambda session: session.created_s)
 
     def position(self, session_id: str, name: str) -> SeenPosition | None:
-        return self.positions(session_id).get(name)
+        kept = self._used(session_id)
+        return None if kept is None else kept.positions.get(name)
 
     def positions(self, session_id: str) -> dict[str, SeenPosition]:
         kept = self._used(session_id)
