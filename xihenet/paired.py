@@ -91,11 +91,14 @@ def _interval(difference: ArrayF64, groups: ArrayInt, rng: np.random.Generator) 
 
 def expanded_tail(n_groups: int) -> float:
     """Share of the bootstrap's draws below the 95 % interval, and as much above it; for two groups or more."""
-    return NormalDist().cdf(-math.sqrt(n_groups / (n_groups - 1)) * _t_975(n_groups - 1))
+    return NormalDist().cdf(-math.sqrt(n_groups / (n_groups - 1)) * t_975(n_groups - 1))
 
 
-def _t_975(degrees: int) -> float:
-    """Of the table, and behind it by Cornish and Fisher's series (0.1 % off at its end)."""
+def t_975(degrees: int) -> float:
+    """Student's t that 2.5 % lie above, for 1 degree of freedom or more.
+
+    Of the table, and behind it by Cornish and Fisher's series (0.1 % off at its end).
+    """
     if degrees <= len(T_975):
         return T_975[degrees - 1]
     z = NormalDist().inv_cdf(0.975)

@@ -20,7 +20,9 @@ def addon():
         yield
 
 
-def test_the_button_brings_what_the_function_measures_and_the_panel_shows_the_active_object(tmp_path):
+def test_the_button_brings_what_the_function_measures_and_the_panel_shows_the_active_object(tmp_path, monkeypatch):
+    # What takes three times as long with three seeds is tested in `test_error_budget`.
+    monkeypatch.setitem(error_budget.__kwdefaults__, "n_seeds", 1)
     scene = walk_for_the_panel(tmp_path / "runs")
     assert last_budget(scene.xihe.budget_folder) is None
     assert bpy.ops.xihe.measure_budget() == {"FINISHED"}
@@ -47,6 +49,34 @@ def test_bars_are_shares_of_the_error_and_the_largest_comes_first():
     labels = [PARTS[name].label for name in ("clipping", "order_2", "network")]
     assert budget_rows(item) == list(zip(labels, [0.6, 0.2, 0.0], ["60% off", "20% off", "20% more"], strict=True))
     assert PARTS["clipping"].perfect in item.advice and "from 50 % to 20 %" in item.advice
+
+
+def item_of(**gains):
+    """A ball with an error of 0.5 of its brightness; of each part the gain, or its interval."""
+    parts = []
+    for name, of in gains.items():
+        interval = of if isinstance(of, tuple) else None
+        gain = sum(interval) / 2 if interval else of
+        parts.append(BudgetPart(name=name, state="measured", error=0.5 - gain, gain=gain, interval=interval))
+    return ObjectBudget(name="Ball", moments=(1,), brightness=1.0, error=0.5, parts=tuple(parts))
+
+
+def test_parts_whose_intervals_overlap_are_named_together():
+    item = item_of(field_of_view=(0.10, 0.20), coverage=(0.15, 0.27), clipping=(0.02, 0.09))
+    assert [part.name for part in item.best] == ["coverage", "field_of_view"]
+    assert PARTS["coverage"].perfect in item.advice and PARTS["field_of_view"].perfect in item.advice
+    assert "from 50 % to 29 % or 35 % of" in item.advice and "Which of them helps more is not certain" in item.advice
+    assert PARTS["clipping"].perfect not in item.advice
+
+
+def test_a_part_that_may_help_or_harm_has_no_place_in_the_order():
+    item = item_of(network=(-0.1, 0.3), order_2=(0.05, 0.09), sampling=(-0.03, -0.01))
+    assert [part.name for part in item.largest_first] == ["order_2", "sampling", "network"]
+    assert [part.name for part in item.best] == ["order_2"]
+    assert "Whether network would help more is not certain" in item.advice
+    assert budget_rows(item)[-1] == (PARTS["network"].label, 0.0, "not certain")
+    assert item_of(network=(-0.1, 0.3)).advice.startswith("No single part would surely help Ball much")
+    assert item_of(network=(-0.1, 0.01)).advice.startswith("No single part would help Ball much")
 
 
 def test_an_object_that_nothing_would_help_is_told():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from previs_runs import QuickPrevis, counted_renders, files_below, look_away, run, unfinished_files
 from scene_snapshot import differences, snapshot
+from scipy import stats
 from tiny_scenes import (
     add_lamp,
     box,
@@ -32,6 +33,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.budget_results import PARTS, BudgetResults
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.budget_seeds import interval_of_mean
 from xihe_blender.previs.error_budget import error_budget
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.satin_ball import HALF_ANGLE, cone_factors, satin_factors
@@ -40,8 +42,8 @@ from xihenet.sh_basis import per_coefficient
 QUICK = QuickPrevis(size=(32, 24), preset="draft", samples=4, exposure=1.0)
 
 
-def budget(scene, out, settings=QUICK, n_moments=2):
-    return run_blocking(error_budget(scene, out, settings, n_moments=n_moments))
+def budget(scene, out, settings=QUICK, n_moments=2, n_seeds=1):
+    return run_blocking(error_budget(scene, out, settings, n_moments=n_moments, n_seeds=n_seeds))
 
 
 def gains(results):
@@ -86,15 +88,41 @@ def test_the_light_in_force_is_that_of_a_run(tmp_path):
 
 def test_a_budget_that_is_stopped_goes_on_and_a_finished_one_renders_nothing(tmp_path):
     scene, out = room_with_a_virtual_sphere(2), tmp_path / "out"
-    with contextlib.closing(error_budget(scene, out, QUICK, n_moments=1)) as job:
-        for _ in range(7):
-            next(job)
+    with contextlib.closing(error_budget(scene, out, QUICK, n_moments=1, n_seeds=2)) as job:
+        progress = next(job)
+        while progress.done < 0.6 * progress.total:
+            progress = next(job)
     assert not (out / "budget.json").exists() and unfinished_files(out) == []
-    resumed, kept = budget(scene, out, n_moments=1), files_below(out / "work")
+    resumed, kept = budget(scene, out, n_moments=1, n_seeds=2), files_below(out / "work")
     with counted_renders() as renders:
-        assert budget(scene, out, n_moments=1).objects == resumed.objects
+        assert budget(scene, out, n_moments=1, n_seeds=2).objects == resumed.objects
     assert renders == [] and files_below(out / "work") == kept
-    assert budget(scene, tmp_path / "whole", n_moments=1).objects == resumed.objects
+    assert budget(scene, tmp_path / "whole", n_moments=1, n_seeds=2).objects == resumed.objects
+
+
+def test_a_budget_is_the_mean_over_its_seeds_and_says_how_sure_each_part_is(tmp_path):
+    scene = room_with_a_virtual_sphere(2)
+    both = budget(scene, tmp_path / "both", n_moments=1, n_seeds=2)
+    each = [budget(scene, tmp_path / f"{seed}", replace(QUICK, seed=seed), n_moments=1) for seed in (0, 1)]
+    (item,), singles = both.objects, [one.objects[0] for one in each]
+    assert item.error == pytest.approx(np.mean([one.error for one in singles]))
+    for place, part in enumerate(item.parts):
+        of_seeds = [one.parts[place].gain for one in singles]
+        assert part.gain == pytest.approx(np.mean(of_seeds)) and singles[0].parts[place].interval is None
+        if part.state == "measured":
+            assert sum(part.interval) / 2 == pytest.approx(part.gain)
+            assert part.interval[1] - part.gain == pytest.approx(12.706 * abs(of_seeds[0] - of_seeds[1]) / 2)
+    page = (tmp_path / "both" / "report.html").read_text()
+    assert page.count('class="interval"') == len(PARTS) - 2
+    assert 'class="interval"' not in (tmp_path / "0" / "report.html").read_text()
+
+
+def test_seeds_have_the_interval_of_their_mean():
+    values = [1.0, 2.0, 4.0, 3.0]
+    low, high = interval_of_mean(values)
+    expected = stats.ttest_1samp(values, 0).confidence_interval(0.95)
+    assert (low, high) == pytest.approx((expected.low, expected.high), rel=1e-3)
+    assert interval_of_mean([1.0]) is None
 
 
 def room_around_a_ball(*lamps, n_frames=2, walls=0.5):
@@ -154,6 +182,7 @@ def test_a_lamp_that_no_camera_sees_comes_first_where_it_is_all_the_light(tmp_pa
     [
         ({"estimator": "truth"}, {}, "choose another --estimator"),
         ({}, {"n_moments": 0}, "give --moments 1 or more"),
+        ({}, {"n_seeds": 0}, "give --seeds 1 or more"),
     ],
 )
 def test_what_cannot_be_divided_is_told(tmp_path, wrong, options, said):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from xihenet.paired import T_975, _t_975, paired_difference
+from xihenet.paired import T_975, paired_difference, t_975
 
 
 def generator(seed=0):
@@ -80,5 +80,5 @@ def test_what_is_no_pair_is_refused(first, second, groups):
 
 def test_students_t_is_that_of_scipy():
     degrees = range(1, 200)
-    assert [_t_975(d) for d in degrees] == pytest.approx([stats.t.ppf(0.975, d) for d in degrees], rel=1.2e-3)
+    assert [t_975(d) for d in degrees] == pytest.approx([stats.t.ppf(0.975, d) for d in degrees], rel=1.2e-3)
     assert len(T_975) == 15

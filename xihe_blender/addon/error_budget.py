@@ -84,7 +84,10 @@ def shown_object(budget: BudgetResults, active: str) -> ObjectBudget:
 
 
 def budget_rows(item: ObjectBudget) -> list[tuple[str, float, str]]:
-    """Part, share of the error that a perfect one would take off, 0 to 1, and that in words; the largest first."""
+    """Part, share of the error that a perfect one would take off, 0 to 1, and that in words; the largest first.
+
+    A part that may help or harm has no bar.
+    """
     from xihe_blender.io.budget_results import PARTS
 
     return [(PARTS[part.name].label, *_bar(part, item.error or 0.0)) for part in item.largest_first]
@@ -92,6 +95,8 @@ def budget_rows(item: ObjectBudget) -> list[tuple[str, float, str]]:
 
 def _bar(part: BudgetPart, error: float) -> tuple[float, str]:
     share = part.gain / error if error else 0.0
+    if not part.is_certain:
+        return 0.0, "not certain"
     return min(1.0, max(0.0, share)), f"{share:.0%} off" if share >= 0 else f"{-share:.0%} more"
 
 

@@ -11,6 +11,7 @@ from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
 
 MOMENTS = "frames in which errors are measured, evenly over those with the object in view; default: 4"
+SEEDS = "how often all is rendered and measured, each time with another seed, which tells what is certain; default: 3"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_capture(add)
     add("--objects A,B", "virtual objects; default: all", arguments.names)
     add("--moments N", MOMENTS, int, dest="n_moments", default=4)
+    add("--seeds N", SEEDS, int, dest="n_seeds", default=3)
     add("--samples N", "samples of every capture, and pictures of every light probe, whatever the noise", int)
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--network NAME", arguments.NETWORK)
@@ -34,8 +36,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 
     settings = arguments.settings_from(options, PrevisSettings, effect_choices=parsed_overrides(options.overrides))
     job = error_budget(
-        open_blend(options.scene), options.out, settings, n_moments=options.n_moments, blend_file=options.scene,
-        command=options.command_line,
+        open_blend(options.scene), options.out, settings, n_moments=options.n_moments, n_seeds=options.n_seeds,
+        blend_file=options.scene, command=options.command_line,
     )  # fmt: skip
     results = run_blocking(job, progress_line(stderr))
     for item in results.objects:

@@ -1,5 +1,8 @@
 """The results of an error budget: what budget.json says, and what would help an object most, in words.
 
+What is said of a part is no more than its interval over several seeds allows: one whose interval holds 0 may help or
+harm, and has no place in the order; of two whose intervals overlap nobody can say which is larger.
+
 Errors are root mean squares of what a satin ball shows (`xihenet.satin_ball`), in radiance at the session's exposure.
 Strict JSON: no NaN and no Infinity.
 """
@@ -53,6 +56,28 @@ class BudgetPart:
     state: Annotated[Literal["measured", "not simulated"], "not simulated: the phone of this session has no such error"]
     error: Annotated[float, "that is left of the object's error then"]
     gain: Annotated[float, "by how much that is less; below 0 where a perfect part makes it worse"]
+    interval: Annotated[
+        tuple[float, float] | None, "95 % confidence interval of that over seeds; none of a single seed"
+    ] = None
+
+    @property
+    def low(self) -> float:
+        """The least that the gain may be; of a single seed the gain itself."""
+        return self.interval[0] if self.interval else self.gain
+
+    @property
+    def high(self) -> float:
+        """The most."""
+        return self.interval[1] if self.interval else self.gain
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether it is known to help, or to harm: the interval leaves 0 out. A single seed is taken at its word."""
+        return self.interval is None or self.low > 0 or self.high < 0
+
+    def is_apart_from(self, other: BudgetPart) -> bool:
+        """Whether one is known to be larger: the intervals do not overlap. A single seed is taken at its word."""
+        return self.interval is None or self.low > other.high or other.low > self.high
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +93,16 @@ class ObjectBudget:
 
     @property
     def largest_first(self) -> list[BudgetPart]:
-        """The parts that were measured, by what they would take off."""
+        """The parts that were measured, by what they would take off; those that may as well harm come last."""
         measured = [part for part in self.parts if part.state == "measured"]
-        return sorted(measured, key=lambda part: -part.gain)
+        return sorted(measured, key=lambda part: (not part.is_certain, -part.gain))
+
+    @property
+    def best(self) -> list[BudgetPart]:
+        """The part that would help most, and those that may help as much; none if none would surely help."""
+        certain = [part for part in self.largest_first if part.is_certain]
+        worth = [part for part in certain if part.gain > LEAST_HELP * (self.error or 0.0)]
+        return [part for part in worth if part is worth[0] or not part.is_apart_from(worth[0])]
 
     def relative(self, error: float) -> float:
         """`error` as a share of the brightness."""
@@ -82,15 +114,21 @@ class ObjectBudget:
         if self.error is None or not self.brightness:
             return f"{self.name} was never in view, or no light reaches it: nothing can be said."
         now = format_percent(self.relative(self.error))
-        worth = [part for part in self.largest_first if part.gain > LEAST_HELP * self.error]
-        if not worth:
-            return f"No single part would help {self.name} much: its light is off by {now} of its brightness."
-        best = worth[0]
-        then = format_percent(self.relative(best.error))
-        said = (
-            f"What would help {self.name} most is {PARTS[best.name].perfect}: its error would fall from {now} to {then}"
-        )
-        return f"{said} of its brightness."
+        if not self.best:
+            surely = "surely " if self._may_help_more(0.0) else ""
+            return f"No single part would {surely}help {self.name} much: its light is off by {now} of its brightness."
+        perfect = ", or ".join(PARTS[part.name].perfect for part in self.best)
+        then = " or ".join(dict.fromkeys(format_percent(self.relative(part.error)) for part in self.best))
+        falls = f"its error would fall from {now} to {then} of its brightness."
+        doubts = ["Which of them helps more is not certain."] if len(self.best) > 1 else []
+        open_ones = " or ".join(PARTS[part.name].label.lower() for part in self._may_help_more(self.best[0].low))
+        doubts += [f"Whether {open_ones} would help more is not certain."] if open_ones else []
+        return " ".join([f"What would help {self.name} most is {perfect}: {falls}", *doubts])
+
+    def _may_help_more(self, gain: float) -> list[BudgetPart]:
+        """The parts without a place in the order that may take off more than `gain`, and more than is not worth it."""
+        least = max(gain, LEAST_HELP * (self.error or 0.0))
+        return [part for part in self.largest_first if not part.is_certain and part.high > least]
 
 
 @dataclass(frozen=True, kw_only=True)

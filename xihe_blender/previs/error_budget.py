@@ -16,13 +16,16 @@ part alike. Parts overlap: what the phone has never seen may be missing since it
     delay           every frame makes an estimate, which is there at once
     order 2         the light has what the true one has beyond nine coefficients
 
+All is measured with several seeds, everything rendered and drawn anew, and given as means over them: what noise makes
+of a part, and a trigger that fires in another frame, is told by its interval (`budget_seeds`).
+
 Rejected: to take the network for all that least squares would not get wrong. It fills what was not seen, and is better
 at it or worse; what that is worth is told by `least_squares_error`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,7 +34,7 @@ import numpy as np
 
 from xihe_blender.capture.all_around import light_of_views, means_of_anchors
 from xihe_blender.errors import UserError
-from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, ObjectBudget
+from xihe_blender.io.budget_results import PARTS, BudgetResults, ObjectBudget
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import RunOutputs, write_json
@@ -58,6 +61,7 @@ from xihe_blender.previs.budget_looks import (
     place_of,
     view_outputs,
 )
+from xihe_blender.previs.budget_seeds import N_SEEDS, SeedErrors, over_seeds, with_seed
 from xihe_blender.previs.captured_path import said_of_path
 from xihe_blender.previs.path_renders import render_captures
 from xihe_blender.previs.phone_capture import SimulatedPhone
@@ -81,7 +85,7 @@ N_MOMENTS = 4
 MOST_LOOKS = 12
 """Before so many frames of the path somebody looks around, evenly; and before those from which measured light comes."""
 CAPTURE_SHARE, LOOK_SHARE, BALL_SHARE = 0.5, 0.3, 0.15
-"""Of the time, as a bar of progress shows it."""
+"""Of the time of each seed, as a bar of progress shows it."""
 
 
 def error_budget(
@@ -90,6 +94,7 @@ def error_budget(
     settings: PrevisSettings,
     *,
     n_moments: int = N_MOMENTS,
+    n_seeds: int = N_SEEDS,
     blend_file: Path | None = None,
     command: str = "",
 ) -> Job[BudgetResults]:
@@ -101,6 +106,7 @@ def error_budget(
     out : folder of the budget, made if needed; what is rendered is kept there and resumed
     settings : of a run. The whole path is captured, and all of the light is estimated, whatever they say
     n_moments : frames in which errors are measured: evenly over those with the object in view, the last among them
+    n_seeds : with which all is rendered and measured, from that of `settings` on; with one there are no intervals
     blend_file : where the scene comes from; None takes the open file
 
     UserError for a scene that cannot be run, a folder that holds something else, or if no object is ever in view.
@@ -108,6 +114,8 @@ def error_budget(
     settings = replace(settings, captured="path", target="hdr", others=())
     if n_moments < 1:
         raise UserError(f"an error cannot be measured in {n_moments} moments: give --moments 1 or more")
+    if n_seeds < 1:
+        raise UserError(f"an error cannot be measured with {n_seeds} seeds: give --seeds 1 or more")
     if settings.estimator == "truth":
         raise UserError("the light of `truth` is rendered and has no error to divide: choose another --estimator")
     settings = replace(settings, light="sh")
@@ -125,21 +133,47 @@ def error_budget(
     manifest.take()
     with scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
-        budget = yield from _rendered(run, n_moments)
-    yield Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
+        measured = []
+        for number in range(n_seeds):
+            job = _with_one_seed(with_seed(run, number), n_moments)
+            measured.append((yield from part_of(n_seeds, number, 1, job)))
     results = BudgetResults(
-        **said_of_path(run, file, command, {}), objects=tuple(budget.of_object(item.name) for item in run.plan.objects)
+        **said_of_path(run, file, command, {"moments": n_moments, "seeds": n_seeds}),
+        objects=tuple(_of_object(run, item.name, measured) for item in run.plan.objects),
     )
     write_budget_report(out / "report.html", results)
     write_json(out / "budget.json", as_json(results))
     return results
 
 
-# ------------------------------------------------------------------------------------------------------------- renders
+def _of_object(run: PreparedRun, name: str, measured: Sequence[_Measured]) -> ObjectBudget:
+    """The budget of one object over all seeds."""
+    moments = {frame for probe in run.plan.probes_of(name) for frame in measured[0].moments[probe.name]}
+    return over_seeds(name, tuple(sorted(moments)), [one.errors[name] for one in measured if name in one.errors])
+
+
+# ------------------------------------------------------------------------------------------------------------ one seed
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """With one seed: the moments by position, and the errors of each object that was ever in view."""
+
+    moments: Mapping[str, Sequence[int]]
+    errors: Mapping[str, SeedErrors]
+
+
+def _with_one_seed(run: PreparedRun, n_moments: int) -> Job[_Measured]:
+    """A job: render what the budget needs with the seed of `run`, and measure the errors."""
+    budget = yield from _rendered(run, n_moments)
+    yield Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
+    errors = {item.name: budget.of_object(item.name) for item in run.plan.objects}
+    return _Measured(budget.moments, {name: one for name, one in errors.items() if one is not None})
 
 
 def _rendered(run: PreparedRun, n_moments: int) -> Job[_Budget]:
     """A job: render all that the budget needs and is not kept yet."""
+    run.outputs.settings.parent.mkdir(parents=True, exist_ok=True)
     keeping = replace(run, needs=replace(run.needs, radiance=True))
     yield from part_of(1, 0, CAPTURE_SHARE, render_captures(keeping))
     phone = phone_of_captures(run, {})
@@ -219,27 +253,18 @@ class _Budget:
         )
         return next(same, frame)
 
-    def of_object(self, name: str) -> ObjectBudget:
-        """The budget of one object: root mean squares over its positions and moments."""
+    def of_object(self, name: str) -> SeedErrors | None:
+        """The errors of one object: root mean squares over its positions and moments. None if it is never in view."""
         moments = [one for probe in self.run.plan.probes_of(name) for one in self._of_position(probe)]
-        frames = {frame for probe in self.run.plan.probes_of(name) for frame in self.moments[probe.name]}
         if not moments:
-            return ObjectBudget(name=name, moments=())
-        error = _root_mean(one.squared_error("") for one in moments)
-        return ObjectBudget(
-            name=name,
-            moments=tuple(sorted(frames)),
+            return None
+        simulated = [part for part in PARTS if part == "order_2" or part in moments[0].lights]
+        return SeedErrors(
             brightness=_root_mean(one.ball.brightness**2 for one in moments),
-            error=error,
-            least_squares_error=_root_mean(one.ball.squared_error(one.least_squares) for one in moments),
-            parts=tuple(self._part(part, moments, error) for part in PARTS),
+            error=_root_mean(one.squared_error("") for one in moments),
+            least_squares=_root_mean(one.ball.squared_error(one.least_squares) for one in moments),
+            with_perfect={part: _root_mean(one.squared_error(part) for one in moments) for part in simulated},
         )
-
-    def _part(self, name: str, moments: Sequence[_Moment], error: float) -> BudgetPart:
-        if name == "order_2" or name in moments[0].lights:
-            left = _root_mean(one.squared_error(name) for one in moments)
-            return BudgetPart(name=name, state="measured", error=left, gain=error - left)
-        return BudgetPart(name=name, state="not simulated", error=error, gain=0.0)
 
     def _of_position(self, probe: Probe) -> Iterator[_Moment]:
         if not self.moments[probe.name]:
@@ -313,5 +338,5 @@ def lights_from_all_around(estimator: Estimator, views: Sequence[View], exposure
     return of_nearest, of_means
 
 
-def _root_mean(squares: Iterator[float] | Sequence[float]) -> float:
+def _root_mean(squares: Iterable[float]) -> float:
     return float(np.sqrt(np.mean(list(squares))))

@@ -13,7 +13,9 @@ from xihenet.formats import MINUS, format_count, format_frames, format_number, f
 ROW_PX, BAR_PX = 42, 16
 _HOW = (
     "Each bar is what would be taken off the error if that part alone were perfect and all else as it was. Parts "
-    "overlap, so the bars do not add up to the whole error. A bar to the left makes the error larger."
+    "overlap, so the bars do not add up to the whole error. A bar to the left makes the error larger. The line on a "
+    "bar is the 95 % confidence interval over seeds: of parts whose lines overlap nobody can say which helps "
+    "more, and one whose line holds 0 may help or harm, and stands last."
 )
 
 
@@ -31,8 +33,11 @@ def _opening(results: BudgetResults) -> str:
     network = results.settings["network"]
     over = "" if network is None else f", over <code>{escape(str(network))}</code>"
     session = f"Light by <code>{estimator}</code>, phone <code>{phone}</code>{over}"
+    seeds = results.settings["seeds"]
+    assert isinstance(seeds, int)
+    measured = f"measured with {format_count(seeds, 'seed')}"
     notes = " ".join(escape(note) for note in results.notes)
-    return f"<ul>{advice}</ul><p>{session}, from {format_count(len(results.frames), 'frame')}. {notes}</p>"
+    return f"<ul>{advice}</ul><p>{session}, from {format_count(len(results.frames), 'frame')}, {measured}. {notes}</p>"
 
 
 def _of_object(item: ObjectBudget) -> str:
@@ -45,9 +50,9 @@ def _bars(item: ObjectBudget) -> str:
     """Bars from the largest gain to the smallest, in per cent of the brightness; the axis ends at the whole error."""
     parts, whole = item.largest_first, 100 * item.relative(item.error or 0.0)
     gains = [100 * item.relative(part.gain) for part in parts]
-    axis = _axis(min(0.0, *gains), whole)
+    axis = _axis(min(0.0, *gains, *(max(100 * item.relative(part.low), -whole) for part in parts)), whole)
     height_px = ROW_PX * len(parts)
-    rows = "".join(_bar(axis, place, part, gain) for place, (part, gain) in enumerate(zip(parts, gains, strict=True)))
+    rows = "".join(_bar(axis, place * ROW_PX, item, part) for place, part in enumerate(parts))
     now = svg.straight(axis.x(whole), 0, axis.x(whole), height_px, "limit")
     below = svg.axis_of(axis, "taken off the error, of the brightness; dotted: the whole error", height_px, grid=True)
     return svg.figure(
@@ -68,15 +73,32 @@ def _number(value: float, form: str) -> str:
     return f"{round(value, 1) + 0.0:{form}}".replace("-", MINUS)
 
 
-def _bar(axis: svg.Axis, place: int, part: BudgetPart, gain: float) -> str:
-    top = place * ROW_PX
+def _bar(axis: svg.Axis, top: int, item: ObjectBudget, part: BudgetPart) -> str:
+    gain = 100 * item.relative(part.gain)
     left, right = sorted((axis.x(0.0), axis.x(gain)))
-    said = f"{PARTS[part.name].label}: {_number(gain, '.1f')} %"
+    said = f"{PARTS[part.name].label}: {_number(gain, '.1f')} %{_between(item, part)}"
     return (
         f'<text x="{axis.x(0.0):.3f}%" dx="4" y="{top + 14}">{escape(said)}</text>'
         f'<rect class="bar s{0 if gain >= 0 else 1}" x="{left:.3f}%" y="{top + 20}" width="{right - left:.3f}%" '
-        f'height="{BAR_PX}"><title>{escape(PARTS[part.name].perfect)}</title></rect>'
+        f'height="{BAR_PX}"><title>{escape(PARTS[part.name].perfect)}</title></rect>{_interval(axis, top, item, part)}'
     )
+
+
+def _between(item: ObjectBudget, part: BudgetPart) -> str:
+    """The interval of a gain in words, and whether it leaves open what the part does."""
+    if part.interval is None:
+        return ""
+    low, high = (_number(100 * item.relative(end), ".1f") for end in part.interval)
+    return f", {low} to {high} %" + ("" if part.is_certain else ": not certain")
+
+
+def _interval(axis: svg.Axis, top: int, item: ObjectBudget, part: BudgetPart) -> str:
+    """A line across the bar, as far as the axis goes."""
+    if part.interval is None:
+        return ""
+    low, high = (axis.x(min(max(100 * item.relative(end), axis.low), axis.high)) for end in part.interval)
+    middle = top + 20 + BAR_PX / 2
+    return svg.straight(low, middle, high, middle, "interval")
 
 
 def _least_squares(item: ObjectBudget) -> str:
@@ -88,17 +110,20 @@ def _least_squares(item: ObjectBudget) -> str:
 
 
 def _table(item: ObjectBudget) -> str:
-    head = ["part", "error with it perfect", "taken off", "of the brightness"]
-    rows = [["as it was", format_number(item.error), "", format_percent(item.relative(item.error or 0.0))]]
+    head = ["part", "error with it perfect", "taken off", "95 % interval", "error of the brightness"]
+    rows = [["as it was", format_number(item.error), "", "", format_percent(item.relative(item.error or 0.0))]]
     rows += [_row(item, part) for part in item.largest_first]
-    rows += [[PARTS[p.name].label, "not simulated", "", ""] for p in item.parts if p.state == "not simulated"]
-    measured = f"<p>Measured in {format_count(len(item.moments), 'frame')}: {format_frames(item.moments)}.</p>"
+    rows += [[PARTS[p.name].label, "not simulated", "", "", ""] for p in item.parts if p.state == "not simulated"]
+    measured = (
+        f"<p>Measured in {format_count(len(item.moments), 'frame')} of each seed: {format_frames(item.moments)}.</p>"
+    )
     return table(head, rows) + measured
 
 
 def _row(item: ObjectBudget, part: BudgetPart) -> list[str]:
     of_brightness = format_percent(item.relative(part.error))
-    return [PARTS[part.name].label, format_number(part.error), format_number(part.gain), of_brightness]
+    interval = " to ".join(map(format_number, part.interval)) if part.interval else format_number(None)
+    return [PARTS[part.name].label, format_number(part.error), format_number(part.gain), interval, of_brightness]
 
 
 def _meaning() -> str:
