@@ -4,8 +4,10 @@ The budget makes parts perfect on captures that are there. Here each is made per
 rendered again with another seed: the path, and the truth, a satin ball that is put into the room and path-traced from
 six sides, with its normals. Errors are root mean squares over its surface, in per cent of its brightness.
 
-    field of view   a camera that looks in six directions before every frame of the path
-    coverage        a camera that does so at the object's position
+    field of view   a camera that looks in six directions before each frame before which the budget looks around; the
+                    room stands still meanwhile, and the phone sees with the flaws that it has in that frame: it is not
+                    whirled around, which would shear its pictures and lose its track
+    coverage        a camera that does so at the object's position, without flaws
     sensor          the perfect phone
     clipping        an exposure at which nothing of the path is clipped
     delay           no network, and an estimate in every frame
@@ -17,6 +19,7 @@ six sides, with its normals. Errors are root mean squares over its surface, in p
 What the ball shows is taken to order 8, as the budget's is: finer than that is mostly grain of a path-traced ball.
 
     python addon_tests/bench/error_budget.py OUT SCENE.blend... [--phone NAME] [--network NAME] [--step N] [--all]
+        [--seeds N] [--anew N]
 
 In a scene without virtual objects a ball is put at the empty `placement_0`.
 """
@@ -25,12 +28,14 @@ from __future__ import annotations
 
 import argparse
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import bpy
 import numpy as np
+from budget_order import largest, largest_that_are_certain, order_of, print_all, print_case
 from mathutils import Matrix
 
 from xihe_blender.capture import all_around
@@ -44,31 +49,53 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.budget_chain import (
     EVERY_FRAME,
     SessionParts,
+    Sight,
     exposure_without_clipping,
     lights_in_force,
+    sight,
     sights_of_path,
 )
+from xihe_blender.previs.budget_looks import FROM_PATH
+from xihe_blender.previs.budget_seeds import N_SEEDS, SeedErrors, over_seeds
 from xihe_blender.previs.error_budget import error_budget, lights_from_all_around
 from xihe_blender.previs.path_renders import render_captures
+from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.plan import Probe, plan_previs
-from xihe_blender.previs.prepare import prepare_run, survey_run
+from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.previs.survey import SceneSurvey
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
+from xihenet.recording import load_frame
 from xihenet.records import RgbdFrame
 from xihenet.satin_ball import satin_factors
 from xihenet.sh_basis import basis, per_coefficient
 
-N_LOOKS = 7  # frames of the longer path for each of the real one: six directions, then the phone's own
+N_LOOKS = 8  # frames of the longer path for each of the real one: none, six directions, then the phone's own
+OWN_LOOK = N_LOOKS - 1
 BALL_RADIUS_M, BALL_SAMPLES = 0.002, 64
-NEW_SEED = 1
+FIRST_NEW_SEED = 101  # far from those of the budget
 ALL_ORDERS = 8
 OF_PICTURES = ("sampling", "network", "hidden_lamps")
-Prepare = Callable[[bpy.types.Scene, Probe], None]
+Prepare = Callable[[bpy.types.Scene, Probe], tuple[int, ...]]
+Place = Callable[[Probe], np.ndarray | None]
+Lights = dict[tuple[str, int], np.ndarray]
+
+
+@dataclass
+class Session:
+    """A session that was rendered anew, of the real path or a longer one."""
+
+    run: PreparedRun
+    phone: SimulatedPhone
+
+    def parts(self, sights: list[Sight] | None = None) -> SessionParts:
+        sights = sights_of_path(self.run, self.phone) if sights is None else sights
+        return SessionParts(sights, self.run.settings.trigger, self.phone.link_in_use, self.run.estimator, {})
 
 
 @dataclass
@@ -79,36 +106,65 @@ class Case:
     out: Path
     settings: PrevisSettings
     budget: BudgetResults
+    seed: int = FIRST_NEW_SEED
 
     @property
     def item(self) -> ObjectBudget:
         return self.budget.objects[0]
 
-    def light_of(
-        self, name: str, settings: PrevisSettings, prepare: Prepare | None = None, n_looks: int = 1
-    ) -> dict[tuple[str, int], np.ndarray]:
-        """Of a session that is rendered anew, the scene changed by `prepare`, in scene radiance."""
+    def rendered(self, name: str, settings: PrevisSettings, prepare: Prepare | None = None) -> Session:
+        """A session of the scene as `prepare` changes it, which gives the frames of its path."""
         out = self.out / name
         shutil.rmtree(out, ignore_errors=True)
         scene = opened(self.file)
         settings = replace(settings, objects=(self.item.name,))
-        probes = plan_previs(scene, settings).probes
         if prepare is not None:
-            prepare(scene, probes[0])
-        if n_looks > 1:
-            settings = replace(settings, frames=tuple(longer(settings.frames, n_looks)))
+            settings = replace(settings, frames=prepare(scene, plan_previs(scene, settings).probes[0]))
         plan, outputs = plan_previs(scene, settings), RunOutputs(out)
         survey = survey_run(scene, plan, outputs)
         with scene_kept():
             run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
             run_blocking(render_captures(run))
-        phone, found = phone_of_captures(run, {}), {}
-        moments = {last_of(frame, n_looks): frame for frame in self.item.moments}
-        parts = SessionParts(sights_of_path(run, phone), run.settings.trigger, phone.link_in_use, run.estimator, {})
-        for probe in run.plan.probes:
-            for frame, light in lights_in_force(run, probe, parts, list(moments)).items():
-                found[probe.name, moments[frame]] = light.sh / run.exposure
-        return found
+        return Session(run, phone_of_captures(run, {}))
+
+    @cached_property
+    def anew(self) -> PrevisSettings:
+        return replace(self.settings, seed=self.seed, exposure=self.budget.exposure)
+
+    @cached_property
+    def as_it_was(self) -> Session:
+        """The real path, with nothing perfect."""
+        return self.rendered("as_it_was", self.anew)
+
+    def light_of(self, session: Session) -> Lights:
+        return self.lights(session.run, session.parts(), {frame: frame for frame in self.item.moments})
+
+    def light_of_looks(self, name: str, place: Place, *, is_phones: bool) -> Lights:
+        """With looks around from `place` before the frames of the budget, by the phone or by a perfect camera."""
+        real, around = self.as_it_was, self.look_frames()
+        frames = real.run.plan.frames
+
+        def prepare(scene: bpy.types.Scene, probe: Probe) -> tuple[int, ...]:
+            look_everywhere(scene, frames, place(probe))
+            return longer(frames, around)
+
+        long = self.rendered(name, self.anew, prepare).run
+        run = replace(long, survey=seen_by_phone_alone(long.survey))
+        parts = real.parts(list(sights_of_looks(run, real, is_phones=is_phones)))
+        return self.lights(run, parts, {last_of(frame): frame for frame in self.item.moments})
+
+    def lights(self, run: PreparedRun, parts: SessionParts, moments: dict[int, int]) -> Lights:
+        """In scene radiance, by position and the frame of the real path that belongs to each of `moments`."""
+        return {
+            (probe.name, moments[frame]): light.sh / run.exposure
+            for probe in run.plan.probes
+            for frame, light in lights_in_force(run, probe, parts, list(moments)).items()
+        }
+
+    def look_frames(self) -> set[int]:
+        """The frames before which the budget looks around."""
+        kept = (self.out / "budget" / "work" / "around" / FROM_PATH / "0" / "work").glob("capture_*.exr")
+        return {int(file.stem.split("_")[1]) for file in kept}
 
 
 def opened(file: Path) -> bpy.types.Scene:
@@ -124,18 +180,56 @@ def opened(file: Path) -> bpy.types.Scene:
 # ------------------------------------------------------------------------------------------------------- longer paths
 
 
-def last_of(frame: int, n_looks: int) -> int:
+def last_of(frame: int) -> int:
     """The frame of the longer path at which the phone looks as it does at `frame` of the real one."""
-    return n_looks * frame
+    return N_LOOKS * frame + OWN_LOOK
 
 
-def longer(frames: tuple[int, ...] | None, n_looks: int) -> list[int]:
-    assert frames is not None
-    return [last_of(frame, n_looks) - n_looks + 1 + look for frame in frames for look in range(n_looks)]
+def longer(frames: Iterable[int], around: set[int]) -> tuple[int, ...]:
+    """With six looks before each of `frames` that is one of `around`."""
+    looks = ((range(1, OWN_LOOK) if frame in around else (), frame) for frame in frames)
+    return tuple(n for some, frame in looks for n in (*(N_LOOKS * frame + look for look in some), last_of(frame)))
 
 
-def look_everywhere(scene: bpy.types.Scene, frames: tuple[int, ...], place_m: np.ndarray | None) -> None:
-    """Six directions before each frame, from the phone's own place or from `place_m`; time goes as much slower."""
+def seen_by_phone_alone(survey: SceneSurvey) -> SceneSurvey:
+    """`survey` of a longer path without estimates in frames that are looks around, whatever is in view there."""
+    frames = {
+        frame: one if frame % N_LOOKS == OWN_LOOK else replace(one, in_view=()) for frame, one in survey.frames.items()
+    }
+    return replace(survey, frames=frames)
+
+
+@dataclass(frozen=True)
+class OutputsOfFrame(RunOutputs):
+    """The outputs of a longer path, where the phone asks for what stands beside a capture of the real one."""
+
+    number: int = 0
+
+    def surfaces(self, frame: int) -> Path:
+        return RunOutputs(self.folder).surfaces(self.number)
+
+    def radiance(self, method: str, frame: int) -> Path:
+        return RunOutputs(self.folder).radiance(method, self.number)
+
+
+def sights_of_looks(run: PreparedRun, real: Session, *, is_phones: bool) -> Iterator[Sight]:
+    """What the phone of the `real` path sees of the longer one of `run`, with its flaws of the same moment."""
+    for number in run.plan.frames:
+        captured, frame = load_frame(run.outputs.capture(number)), number // N_LOOKS
+        seen = captured
+        if is_phones or number % N_LOOKS == OWN_LOOK:
+            as_real = replace(captured, frame=frame, time_s=real.run.survey.frames[frame].time_s)
+            seen, _ = real.phone.see(as_real, OutputsOfFrame(run.outputs.folder, number=number))
+        yield sight(replace(seen, frame=number, time_s=captured.time_s), run.exposure)
+
+
+def look_everywhere(scene: bpy.types.Scene, frames: Iterable[int], place_m: np.ndarray | None) -> None:
+    """Six directions before each frame, from the phone's own place or from `place_m`; the room stands still meanwhile.
+
+    Time goes N_LOOKS times slower. Each curve keeps the value that it has at a frame until the next one.
+    """
+    for curve in (curve for action in bpy.data.actions for curve in action.fcurves):
+        curve.modifiers.new("STEPPED").frame_step = 1.0
     data = bpy.data.cameras.new("Looks")
     data.sensor_fit, data.sensor_height, data.clip_start = "VERTICAL", 24.0, all_around.CLIP_START_M
     camera = bpy.data.objects.new("Looks", data)
@@ -150,16 +244,16 @@ def look_everywhere(scene: bpy.types.Scene, frames: tuple[int, ...], place_m: np
     scene.timeline_markers.clear()
     scene.camera = camera
     for frame, (intrinsics, pose) in poses.items():
-        for look in range(N_LOOKS):
+        for look in range(1, N_LOOKS):
             turned = pose.copy()
-            if look < N_LOOKS - 1:
-                turned[:3, :3] = all_around.view_rotation(look)
+            if look < OWN_LOOK:
+                turned[:3, :3] = all_around.view_rotation(look - 1)
                 turned[:3, 3] = pose[:3, 3] if place_m is None else place_m
             turned[:3, 3] /= metres_per_unit(scene)
             # Curves are read at the slower time; half a frame before, so that no rounding falls on the one before.
-            at = (last_of(frame, N_LOOKS) - N_LOOKS + 1 + look - 0.5) / N_LOOKS
+            at = frame + (look - 0.5) / N_LOOKS
             camera.matrix_world = Matrix(turned.tolist())
-            half_height = 1.0 if look < N_LOOKS - 1 else intrinsics.height / 2 / intrinsics.fy
+            half_height = 1.0 if look < OWN_LOOK else intrinsics.height / 2 / intrinsics.fy
             data.lens = 12.0 / half_height
             camera.keyframe_insert("location", frame=at)
             camera.keyframe_insert("rotation_euler", frame=at)
@@ -170,7 +264,7 @@ def look_everywhere(scene: bpy.types.Scene, frames: tuple[int, ...], place_m: np
                 point.interpolation = "CONSTANT"
     scene.render.frame_map_old, scene.render.frame_map_new = 100, 100 * N_LOOKS
     scene.render.fps *= N_LOOKS
-    scene.frame_start, scene.frame_end = last_of(frames[0], N_LOOKS) - N_LOOKS, last_of(frames[-1], N_LOOKS)
+    scene.frame_start, scene.frame_end = N_LOOKS * frames[0], last_of(frames[-1])
 
 
 # --------------------------------------------------------------------------------------------------------------- truth
@@ -179,7 +273,7 @@ def look_everywhere(scene: bpy.types.Scene, frames: tuple[int, ...], place_m: np
 def true_ball(case: Case, probe_m: np.ndarray, frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normals (P, 3), what the ball shows there (P, 3) in scene radiance, and the weights (P,) of the pixels."""
     scene = opened(case.file)
-    settings = RenderSettings((48, 48), BALL_SAMPLES, NEW_SEED, denoise=False)
+    settings = RenderSettings((48, 48), BALL_SAMPLES, case.seed, denoise=False)
     normals, shown, weights = [], [], []
     with working_scene(scene, "Ball", settings) as working:
         leave_out_virtual_objects(working, scene)
@@ -255,29 +349,22 @@ def mean_square(values: np.ndarray, weights: np.ndarray) -> float:
 # --------------------------------------------------------------------------------------------------------------- parts
 
 
-def rendered_anew(case: Case, part: str) -> dict[tuple[str, int], np.ndarray]:
+def rendered_anew(case: Case, part: str) -> Lights:
     """The light in force with `part` perfect, "" none of them."""
-    settings, frames = replace(case.settings, seed=NEW_SEED, exposure=case.budget.exposure), case.settings.frames
-    assert frames is not None
     if part == "field_of_view":
-        return case.light_of(part, settings, lambda scene, _: look_everywhere(scene, frames, None), N_LOOKS)
+        return case.light_of_looks(part, lambda _: None, is_phones=True)
     if part == "coverage":
-
-        def from_object(scene: bpy.types.Scene, probe: Probe) -> None:
-            look_everywhere(scene, frames, probe.position_m)
-
-        return case.light_of(part, settings, from_object, N_LOOKS)
+        return case.light_of_looks(part, lambda probe: probe.position_m, is_phones=False)
     if part == "sensor":
-        return case.light_of(part, replace(settings, phone="perfect", metering="highlights"))
+        return case.light_of(case.rendered(part, replace(case.anew, phone="perfect", metering="highlights")))
     if part == "delay":
-        return case.light_of(part, replace(settings, network=None, trigger=EVERY_FRAME))
+        return case.light_of(case.rendered(part, replace(case.anew, network=None, trigger=EVERY_FRAME)))
     if part == "clipping":
         kept = RunOutputs(case.out / "budget")
         pictures = [read_radiance(kept.radiance("captured", frame)) for frame in case.budget.frames]
-        return case.light_of(
-            part, replace(settings, exposure=exposure_without_clipping(pictures, case.budget.exposure))
-        )
-    return case.light_of("as_it_was", settings)
+        exposure = exposure_without_clipping(pictures, case.budget.exposure)
+        return case.light_of(case.rendered(part, replace(case.anew, exposure=exposure)))
+    return case.light_of(case.as_it_was)
 
 
 def show_lamps(scene: bpy.types.Scene) -> None:
@@ -295,7 +382,7 @@ def of_pictures(case: Case, part: str, light: np.ndarray, position_m: np.ndarray
     Of as many pixels: what the nearest point in each direction makes of a picture depends on how fine it is.
     """
     scene, size = opened(case.file), case.budget.settings["size"]
-    settings = RenderSettings(tuple(size), 4 * (case.settings.samples or 8), NEW_SEED)
+    settings = RenderSettings(tuple(size), 4 * (case.settings.samples or 8), case.seed)
     exposure = case.budget.exposure
 
     def look() -> list[tuple[RgbdFrame, np.ndarray]]:
@@ -314,8 +401,8 @@ def of_pictures(case: Case, part: str, light: np.ndarray, position_m: np.ndarray
     return light + (means - nearest if part == "sampling" else seen - means)
 
 
-def measure(case: Case, parts: list[str]) -> dict[str, float]:
-    """The error as it was ("") and with each of `parts` perfect, in per cent of the ball's brightness."""
+def measure(case: Case, parts: Iterable[str]) -> SeedErrors:
+    """The errors as they were and with each of `parts` perfect, in scene radiance."""
     scene = opened(case.file)
     probes = {
         probe.name: probe for probe in plan_previs(scene, replace(case.settings, objects=(case.item.name,))).probes
@@ -336,8 +423,8 @@ def measure(case: Case, parts: list[str]) -> dict[str, float]:
                 light = of_pictures(case, part, light, position_m, frame)
             truth = fitted if part == "order_2" else shown
             squares[part].append(mean_square(truth - under(light, normals), weights))
-    scale = np.sqrt(np.mean(brightness))
-    return {part: 100 * float(np.sqrt(np.mean(found)) / scale) for part, found in squares.items()}
+    errors = {part: float(np.sqrt(np.mean(found))) for part, found in squares.items()}
+    return SeedErrors(float(np.sqrt(np.mean(brightness))), errors.pop(""), None, errors)
 
 
 def main() -> None:
@@ -348,7 +435,9 @@ def main() -> None:
     parser.add_argument("--network")
     parser.add_argument("--step", type=int, default=4)
     parser.add_argument("--all", action="store_true", help="all parts, not only the three largest")
-    options = parser.parse_args()
+    parser.add_argument("--seeds", type=int, default=N_SEEDS, help="of the budget")
+    parser.add_argument("--anew", type=int, default=1, help="seeds with which all is rendered anew")
+    options, orders = parser.parse_args(), []
     for file in options.scenes:
         scene, out = opened(file), options.out / file.stem
         settings = PrevisSettings(
@@ -357,15 +446,16 @@ def main() -> None:
         )  # fmt: skip
         name = virtual_objects(scene)[0].name
         settings = replace(settings, objects=(name,))
-        budget = run_blocking(error_budget(scene, out / "budget", settings, blend_file=file))
-        case = Case(file, out, settings, budget)
-        chosen = [part.name for part in case.item.largest_first][: None if options.all else 3]
-        anew = measure(case, chosen)
-        now = 100 * case.item.relative(case.item.error or 0.0)
-        print(f"{file.stem}, {name}: error {now:.1f} %, rendered anew {anew['']:.1f} %", flush=True)
-        for part in case.item.largest_first[: len(chosen)]:
-            gain = 100 * case.item.relative(part.gain)
-            print(f"    {part.name:14} {gain:6.1f} {anew[''] - anew[part.name]:6.1f}", flush=True)
+        budget = run_blocking(error_budget(scene, out / "budget", settings, n_seeds=options.seeds, blend_file=file))
+        (item,) = budget.objects
+        every = [part for part in item.parts if part.state == "measured"]
+        chosen = every if options.all else [*largest(item), *largest_that_are_certain(item)]
+        names = list(dict.fromkeys(part.name for part in chosen))
+        cases = [Case(file, out, settings, budget, FIRST_NEW_SEED + number) for number in range(options.anew)]
+        anew = over_seeds(item.name, item.moments, [measure(case, names) for case in cases])
+        orders.append(order_of(item, anew))
+        print_case(file.stem, item, anew, orders[-1])
+    print_all(orders)
 
 
 if __name__ == "__main__":
