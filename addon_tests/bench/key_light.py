@@ -1,45 +1,150 @@
-"""Does the key light point at the lamp? And does it stay there along a walk?
+"""Does the key light point at the lamp, and does it stay there?
 
-The three-sphere rig walks through each scene as in `light_parts.py`, whose captures in OUT are used again. The lamp is
-read off the rendered mirror ball at each position: the middle of the patch of 10 degrees that has most light in it.
-Prints the median angle of the key light of the estimate to it, where the phone has seen a lamp and where it has not,
-that of the direction of l = 1 alone, and that of the key light of `truth`; and how often the key light jumps by more
-than 20 degrees from one estimate to the next and ends farther from the lamp.
+A walk through each scene with the three-sphere rig. The lamp at a sphere is the patch of 10 degrees with most light in
+a rendered mirror ball; where one elsewhere has nine tenths of that or more there are two, and no key light is right.
+Of a window it is a part; the whole lamp is what shines with a quarter of its brightest or more within 25 degrees.
+The phone has seen the lamp if it has seen at least half of its light: of the directions in that patch from a quarter of
+the brightest on, weighted by their light, those that were sampled and showed three quarters of the true light, clipped
+at white, in each channel. The outside of a shade does not, nor does a wall that was taken for the lamp.
 
-    python addon_tests/bench/key_light.py OUT SCENE.blend... [--preset NAME]
+For each scene, in degrees, the median and of how many estimates: the key light of `lattice` where the phone has seen
+the lamp, and there the angle to the middle of the whole lamp; where it has not; that of `truth`; the direction of l = 1
+alone; and the key light wherever it is one that was seen, right or wrong. Then estimates without a key light, and those
+with two equal lamps without and with one; and how often it turns by more than 20 degrees from one to the next and ends
+farther from the lamp, and nearer.
+
+    python addon_tests/bench/key_light.py OUT SCENE.blend... [--preset NAME] [--size WxH]
+
+Captures in OUT are used again.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from light_parts import walked_scene
 
+from xihe_blender.cli.arguments import picture_size
 from xihe_blender.previs.path_renders import true_reflections
+from xihe_blender.previs.plan import Probe
+from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.run_chain import WalkedPath
 from xihe_blender.previs.settings import PrevisSettings
+from xihenet.buffers import merge
+from xihenet.camera import unproject_frame
+from xihenet.colour import srgb_to_linear
 from xihenet.light.key_light import LUMINANCE
-from xihenet.light.reflections import N_DIRECTIONS
-from xihenet.records import ArrayF64, Reflections
+from xihenet.light.reflections import N_DIRECTIONS, thinned
+from xihenet.recording import load_frame
+from xihenet.records import ArrayBool, ArrayF64, UnitSphereCloud
+from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
+LATTICE = AnchorLattice(N_DIRECTIONS)
 PATCH = np.cos(np.radians(10))
+APART = np.cos(np.radians(25))
 JUMP = np.cos(np.radians(20))
+EQUAL = 0.9
 
 
-def lamp_of(reflections: Reflections, lattice: AnchorLattice) -> ArrayF64:
-    luminance = reflections.radiance.astype(np.float64) @ LUMINANCE
-    brightest = np.argsort(luminance)[-64:]
-    within = lattice.directions[brightest] @ lattice.directions.T > PATCH
-    best = within[np.argmax(within @ luminance)]
-    middle = (lattice.directions[best] * luminance[best, None]).sum(axis=0)
+def patch_of_most_light(luminance: ArrayF64) -> ArrayBool:
+    brightest = np.argsort(luminance)[-256:]
+    within = LATTICE.directions[brightest] @ LATTICE.directions.T > PATCH
+    best: ArrayBool = within[np.argmax(within @ luminance)]
+    return best
+
+
+def middle_of(patch: ArrayBool, luminance: ArrayF64) -> ArrayF64:
+    middle = luminance[patch] @ LATTICE.directions[patch]
     return middle / np.linalg.norm(middle)
+
+
+def whole_lamp(luminance: ArrayF64, lamp: ArrayF64) -> ArrayF64:
+    """(3,) its middle."""
+    for _ in range(5):
+        near = LATTICE.directions @ lamp > APART
+        lamp = middle_of(near & (luminance >= luminance[near].max() / 4), luminance)
+    return lamp
+
+
+def has_equal(luminance: ArrayF64, patch: ArrayBool, lamp: ArrayF64) -> bool:
+    elsewhere = np.where(LATTICE.directions @ lamp > APART, 0.0, luminance)
+    return bool(elsewhere[patch_of_most_light(elsewhere)].sum() >= EQUAL * luminance[patch].sum())
+
+
+def was_seen(radiance: ArrayF64, patch: ArrayBool, cloud: UnitSphereCloud) -> bool:
+    luminance = radiance @ LUMINANCE
+    weights = np.where(patch & (luminance >= luminance[patch].max() / 4), luminance, 0.0)
+    shows = srgb_to_linear(cloud.srgb.astype(np.float64)) >= 0.75 * np.minimum(radiance, 1)
+    return bool(weights @ (cloud.is_set & shows.all(axis=1)) >= weights.sum() / 2)
 
 
 def degrees(one: ArrayF64, other: ArrayF64) -> float:
     return float(np.degrees(np.arccos(np.clip(one @ other, -1, 1))))
+
+
+def estimates(run: PreparedRun, walked: WalkedPath, probe: Probe) -> Iterator[tuple[int, int, UnitSphereCloud]]:
+    """Of each estimate for the probe: its frame, the first at which it is in force, and all that was seen up to it."""
+    known, clouds, last = UnitSphereCloud.empty(len(LATTICE)), {}, None
+    for entry in walked.frames:
+        told = next((one for one in entry.probes if one.name == probe.name), None)
+        if told is None:
+            continue
+        captured = load_frame(run.outputs.capture(entry.frame))
+        points = thinned(unproject_frame(captured, reference_exposure=run.exposure))
+        known = merge(known, sample_unit_sphere(points, probe.at(entry.frame), LATTICE))
+        clouds[entry.frame] = known
+        if told.light_frame not in (None, last):
+            last = told.light_frame
+            yield last, entry.frame, clouds[last]
+
+
+def angles(run: PreparedRun, walked: WalkedPath, estimator: str) -> dict[str, list[float]]:
+    """Degrees between the lamp and the key light, by what the bench asks."""
+    found: dict[str, list[float]] = defaultdict(list)
+    for probe in run.plan.probes:
+        before = None
+        for estimated, frame, cloud in estimates(run, walked, probe):
+            radiance = true_reflections(run, probe, estimated, LATTICE).radiance.astype(np.float64)
+            luminance = radiance @ LUMINANCE
+            patch = patch_of_most_light(luminance)
+            lamp, light = middle_of(patch, luminance), walked.lights[frame][estimator][probe.object_name]
+            true = walked.lights[estimated]["truth"][probe.object_name].key
+            key, is_equal = light.key, has_equal(luminance, patch, lamp)
+            angle = np.nan if key is None else degrees(key.direction, lamp)
+            if key is not None and before is not None and key.direction @ before < JUMP:
+                found["away" if angle > degrees(before, lamp) else "nearer"].append(angle)
+            before = before if key is None else key.direction
+            if is_equal:
+                found["equal, none" if key is None else "equal, one"].append(angle)
+                continue
+            first_band = (light.sh @ LUMINANCE)[[3, 1, 2]]
+            found["l = 1"].append(degrees(first_band / np.linalg.norm(first_band), lamp))
+            found["truth"].append(np.nan if true is None else degrees(true.direction, lamp))
+            if key is None:
+                found["none"].append(angle)
+                continue
+            if was_seen(radiance, patch, cloud):
+                found["saw"].append(angle)
+                found["whole"].append(degrees(key.direction, whole_lamp(luminance, lamp)))
+            else:
+                found["did not"].append(angle)
+            if key.is_seen:
+                found["is seen"].append(angle)
+    return found
+
+
+MEDIANS = ("saw", "whole", "did not", "truth", "l = 1", "is seen")
+COUNTS = ("none", "equal, none", "equal, one", "away", "nearer")
+
+
+def told(name: str, found: dict[str, list[float]]) -> str:
+    medians = (f"{of} {np.nanmedian(found[of]):.1f} ({len(found[of])})" if found[of] else f"{of} -" for of in MEDIANS)
+    return ", ".join([f"{name:26}", *medians, *(f"{of} {len(found[of])}" for of in COUNTS)])
 
 
 def main() -> None:
@@ -47,33 +152,16 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--preset", default="draft")
+    parser.add_argument("--size", type=picture_size, help="of captures; default: 256x192")
     options = parser.parse_args()
-    settings, lattice = PrevisSettings(preset=options.preset, light="sh+key+reflections"), AnchorLattice(N_DIRECTIONS)
-    of_all = defaultdict(list)
+    settings = PrevisSettings(preset=options.preset, size=options.size, light="sh+key+reflections")
+    of_all: dict[str, list[float]] = defaultdict(list)
     for file in options.scenes:
-        run, walked = walked_scene(file, options.out / file.stem, settings)
-        found = defaultdict(list)
-        for probe in run.plan.probes:
-            before = None
-            for entry in (entry for entry in walked.frames if probe.name in {one.name for one in entry.probes}):
-                lamp = lamp_of(true_reflections(run, probe, entry.frame, lattice), lattice)
-                light = walked.lights[entry.frame][settings.estimator][probe.object_name]
-                first_band = (light.sh @ LUMINANCE)[[3, 1, 2]]
-                found["l = 1"].append(degrees(first_band / np.linalg.norm(first_band), lamp))
-                true = walked.lights[entry.frame]["truth"][probe.object_name].key
-                found["truth"].append(np.nan if true is None else degrees(true.direction, lamp))
-                if light.key is None:
-                    found["none"].append(0.0)
-                    continue
-                angle = degrees(light.key.direction, lamp)
-                found["seen" if light.key.is_seen else "not seen"].append(angle)
-                if before is not None and light.key.direction @ before < JUMP:
-                    found["jumps away" if angle > degrees(before, lamp) else "jumps to it"].append(angle)
-                before = light.key.direction
+        found = angles(*walked_scene(file, options.out / file.stem, settings), settings.estimator)
         for name, values in found.items():
             of_all[name] += values
-        print(f"{file.stem:26}", *(f"{n} {np.nanmedian(v):.1f} ({len(v)})," for n, v in found.items()), flush=True)
-    print(f"{'all':26}", *(f"{n} {np.nanmedian(v):.1f} ({len(v)})," for n, v in of_all.items()))
+        print(told(file.stem, found), flush=True)
+    print(told("all", of_all))
 
 
 if __name__ == "__main__":
