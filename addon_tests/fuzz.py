@@ -88,6 +88,8 @@ def rounds(options: argparse.Namespace, running: Service) -> tuple[int, int]:
         print(f"seed {number}", flush=True)
         chosen = ["--hypothesis-profile=search", f"--hypothesis-seed={number}", f"--until={end}"]
         chosen += ["-m", "hypothesis", "-k", options.only]
+        # Else what hypothesis thinks of long examples is told in place of what one of them has found.
+        chosen += ["-W", "ignore:Generating overly large repr"]
         environment = os.environ | {FUZZED_SERVICE: str(running.port)}
         command = [sys.executable, "-m", "pytest", "-q", *chosen, *TESTS]
         code = subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
