@@ -39,6 +39,9 @@ LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
 
 UNPACKED_TOGETHER = 256  # Rows without compression that are read at once: one by one takes longer than their pixels do
 
+CHECKSUM = "crc32"
+"""Attribute that we write of pixels without compression, whose files have nothing else to tell a damaged one by."""
+
 ZLIB_LEVEL = 4  # Of 256x192 pixels of noise, levels 1 to 4 take the same time and space
 
 HEADER_BYTES = 2**16
@@ -83,7 +86,7 @@ def exr_sizes(path: Path) -> dict[str, tuple[int, int]]:
 
 
 def exr_attributes(path: Path) -> dict[str, Attribute]:
-    """What the first header says beside its channels, in the types of `Attribute`; others are left out.
+    """What the first header says beside its channels and its checksum, in the types of `Attribute`; no others.
 
     Raises as `read_exr`.
     """
@@ -145,6 +148,9 @@ def _stored_channels(
         if part.other:
             raise OtherExr(part.other)
     is_multi_part = bool(_flags(content) & MULTI_PART)
+    checksum, start = _header_at(content, 8)[0].get(CHECKSUM), at + 8 * parts[0].n_chunks
+    if checksum is not None and parts[0].compression == "none" and checksum[1] != _checksum(content[start:]):
+        raise ValueError("the pixels are not those that were written")
     for number, part in enumerate(parts):
         offsets = np.frombuffer(content, "<u8", part.n_chunks, at).tolist()
         at += 8 * part.n_chunks
@@ -239,6 +245,7 @@ def _header_at(content: bytes, at: int) -> tuple[dict[str, tuple[str, bytes]], i
 def _attributes_of(content: bytes) -> dict[str, Attribute]:
     stored, _ = _header_at(content, 8)
     found: dict[str, Attribute] = {}
+    stored.pop(CHECKSUM, None)
     for name, (kind, value) in stored.items():
         if kind == "string":
             found[name] = value.decode()
@@ -404,11 +411,17 @@ def _file(part: _Part, rows: NDArray[np.uint8], said: list[tuple[str, str, bytes
     for first in range(0, part.height, n_together):
         packed = _packed(rows[first : first + n_together].reshape(-1), part.compression)
         chunks.append(struct.pack("<2i", first, len(packed)) + packed)
+    if part.compression == "none":
+        said = [*said, (CHECKSUM, "int", _checksum(b"".join(chunks)))]
     names = [*(name for name, _ in part.channels), *(name for name, _, _ in said)]
     has_long_names = any(len(name.encode()) > MAX_SHORT_NAME for name in names)
     start = MAGIC + struct.pack("<i", 2 | (LONG_NAMES if has_long_names else 0)) + _header(part, said)
     ends = np.cumsum([len(start) + 8 * len(chunks), *(len(chunk) for chunk in chunks)])
     return start + ends[:-1].astype("<u8").tobytes() + b"".join(chunks)
+
+
+def _checksum(content: bytes) -> bytes:
+    return struct.pack("<I", zlib.crc32(content))
 
 
 def _packed(pixels: NDArray[np.uint8], compression: str) -> bytes:

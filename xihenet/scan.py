@@ -294,7 +294,7 @@ class _Seen:
     def ends_m(self, reach_m: float) -> ArrayF32:
         """(H, W) a plane depth beyond which nothing between this pixel and the next ones, right and down, is known of;
         the last row and column are not used."""
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):  # NaN, where there is no depth
             behind = np.stack([1 / self.inverse, reach_m / self.facing])
         pairs = np.maximum(behind[:, :-1], behind[:, 1:])
         ends = np.maximum(pairs[..., :-1], pairs[..., 1:]).sum(axis=0) * 1.0001  # For rounding

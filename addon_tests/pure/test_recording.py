@@ -1,5 +1,7 @@
 """A session that was kept can be run again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -96,3 +98,19 @@ def test_a_file_that_is_no_frame_is_named(tmp_path, content):
 def test_a_folder_without_frames_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="no recorded frames"):
         ReplayScanner(tmp_path)
+
+
+def test_a_bit_that_turned_anywhere_in_the_pixels_is_noticed(tmp_path):
+    recorded = random_frame(3)
+    bits = recorded.plane_depth_m.view(np.uint32).copy()
+    bits[0, :2] = 0xFFC00000, 0x7F800001  # A NaN with a sign, as some sums give, and one that signals.
+    recorded = replace(recorded, plane_depth_m=bits.view(np.float32))
+    path = tmp_path / "frame_000000.exr"
+    save_frame(path, recorded)
+    assert np.isnan(load_frame(path).plane_depth_m[0, :2].astype(np.float64)).all()
+    content = path.read_bytes()
+    n_pixel_bytes = recorded.plane_depth_m.size * (3 * 2 + 4)
+    for at in np.random.default_rng(0).integers(len(content) - n_pixel_bytes, len(content), 40).tolist():
+        path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+        with pytest.raises(ValueError, match=r"frame_000000\.exr"):
+            load_frame(path)
