@@ -39,8 +39,9 @@ LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
 
 UNPACKED_TOGETHER = 256  # Rows without compression that are read at once: one by one takes longer than their pixels do
 
-CHECKSUM = "crc32"
-"""Attribute that we write of pixels without compression, whose files have nothing else to tell a damaged one by."""
+CHECKSUM = "xiheCrc32"
+"""Attribute with CRC-32 of all after the table of offsets, which we write where pixels are not compressed: such files
+have nothing else to tell a damaged one by."""
 
 ZLIB_LEVEL = 4  # Of 256x192 pixels of noise, levels 1 to 4 take the same time and space
 
@@ -62,7 +63,8 @@ class OtherExr(ValueError):
 
 @dataclass(frozen=True)
 class _Part:
-    """One part of a file: channels in the order in which each row holds them; `other` is why it is not read here."""
+    """One part of a file: channels in the order in which each row holds them; `other` is why it is not read here,
+    and `checksum` what we wrote of pixels that are not compressed, None elsewhere."""
 
     channels: _Channels
     compression: str
@@ -70,6 +72,7 @@ class _Part:
     height: int
     first_row: int
     other: str = ""
+    checksum: bytes | None = None
 
     @property
     def row_bytes(self) -> int:
@@ -148,8 +151,7 @@ def _stored_channels(
         if part.other:
             raise OtherExr(part.other)
     is_multi_part = bool(_flags(content) & MULTI_PART)
-    checksum, start = _header_at(content, 8)[0].get(CHECKSUM), at + 8 * parts[0].n_chunks
-    if checksum is not None and parts[0].compression == "none" and checksum[1] != _checksum(content[start:]):
+    if parts[0].checksum not in (None, _checksum(content[at + 8 * parts[0].n_chunks :])):
         raise ValueError("the pixels are not those that were written")
     for number, part in enumerate(parts):
         offsets = np.frombuffer(content, "<u8", part.n_chunks, at).tolist()
@@ -294,7 +296,8 @@ def _part(attributes: Mapping[str, bytes], flags: int) -> _Part:
         other = f"its compression, {compression}, cannot be read"
     elif is_subsampled:
         other = "subsampled channels cannot be read"
-    return _Part(channels, compression, right - left + 1, bottom - top + 1, top, other)
+    checksum = attributes.get(CHECKSUM) if compression == "none" else None
+    return _Part(channels, compression, right - left + 1, bottom - top + 1, top, other, checksum)
 
 
 def _channel_list(content: bytes) -> tuple[_Channels, bool]:
