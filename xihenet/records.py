@@ -306,8 +306,8 @@ class TriggerDecision:
 
     fire: bool  # make a new estimate
     reason: TriggerReason  # "first" without a previous cloud
-    # The largest pooled colour change, for "coverage" the newly seen share of the sphere, for "light" the share of it
-    # that is expected to change, for "moved" the metres from where the last estimate was made; None for "first".
+    # The largest pooled colour change, for "coverage" the newly seen share of the sphere, for "light" the share by
+    # which it differs, for "moved" the metres from where the last estimate was made; None for "first".
     change: float | None
     threshold: float  # what `change` was held against
     # Whose own pooled change exceeds the threshold, or newly seen ones for "coverage"; 0 for "light".

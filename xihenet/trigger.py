@@ -6,9 +6,9 @@ whatever bright thing it discovers, and a lamp that dims slowly hardly ever does
 
 Chosen (`policy="split"`): two questions with a threshold each. Has the light changed where we had looked before? Only
 anchors set on both sides can say. Have we seen enough that is new? That is a share of the sphere, whatever its colour.
-The paper's rule stays as `policy="reference"`. A third, `policy="light"`, asks one question in the unit of the light
-itself: by what share is it expected to change (`expected_change`)? Its one threshold fits walks, lamps and pairs of
-frames alike (docs/trigger.md).
+The paper's rule stays as `policy="reference"`. A third, `policy="light"`, asks one question of the light itself: by
+what share does that of all that is known now differ from that of what the last estimate was made from
+(`light_difference`)? Its one threshold fits walks, lamps and pairs of frames alike (docs/trigger.md).
 
 A phone that walks sees reflections move: a glossy table changes its colour without any change of the light. Where both
 clouds say from where an anchor was seen (`UnitSphereCloud.surfaces`), one seen from another angle is asked less. Of its
@@ -31,9 +31,10 @@ from typing import Literal
 
 import numpy as np
 
+from xihenet.buffers import merge
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.expected_change import expected_change
 from xihenet.light_change import LightFollowing, light_change
+from xihenet.light_difference import light_difference
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, TriggerDecision, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
@@ -62,7 +63,7 @@ class TriggerSettings:
     theta : threshold of the pooled colour change: a mean squared difference of sRGB-encoded colour, 0 to 1. The
         default is the paper's; 0 fires at any change, reflections included
     n_neighbours : anchors in the pooling window, the anchor itself among them; at least 1
-    policy : "split" tells colour and coverage apart, "light" asks how much the light is expected to change,
+    policy : "split" tells colour and coverage apart, "light" asks how much the light of all that is known differs,
         "reference" is the paper's rule
     coverage_theta : newly seen share of the sphere above which "split" fires for coverage; 1 never does
     ignored_share : "split" sets aside this share of the anchors that can be compared, those that changed most, before
@@ -75,7 +76,7 @@ class TriggerSettings:
         be the cause; with 0.8 a lamp that reflects in a table passed for it
     hysteresis : theta is raised by this share right after a fire for colour, so that a light that flickers around
         the threshold does not fire in every frame; 0 switches it off
-    light_theta : share of the light in force above whose expected change "light" fires; it heeds nothing else here
+    light_theta : share by which the light has to differ for "light" to fire; it heeds nothing else here
     """
 
     theta: float = 0.6
@@ -87,7 +88,7 @@ class TriggerSettings:
     same_distance: float = 0.02
     agreeing_share: float = 0.9
     hysteresis: float = 0.0
-    light_theta: float = 0.18
+    light_theta: float = 0.75
 
     def __post_init__(self) -> None:
         if self.policy not in ("split", "light", "reference"):
@@ -136,7 +137,7 @@ def decide_trigger(
     if settings.policy == "reference":
         return _decide_as_the_paper(previous, current, _windows(lattice, len(current), settings), settings.theta)
     if settings.policy == "light":
-        change = expected_change(previous, current, lattice)
+        change = light_difference(previous, merge(previous, current), lattice)
         fire = change > settings.light_theta
         return TriggerDecision(fire, "light" if fire else "none", change, settings.light_theta)
     was_colour = last is not None and last.fire and last.reason == "colour"

@@ -17,7 +17,7 @@ REASONS = {
     "first": "first estimate",
     "colour": "light changed",
     "coverage": "more of the surroundings seen",
-    "light": "light expected to change",
+    "light": "light differs",
     "moved": "object moved",
 }
 KEPT = "kept"

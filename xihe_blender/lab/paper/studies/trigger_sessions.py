@@ -15,7 +15,7 @@ from xihenet import estimators
 from xihenet.buffers import PositionBuffers, merge
 from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.expected_change import expected_change
+from xihenet.light_difference import light_difference
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
@@ -25,9 +25,9 @@ from xihenet.trigger import TriggerSettings, decide_trigger
 OURS, PAPERS = "our rule", "the paper's rule"
 THETAS = {
     PAPERS: (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.8),
-    OURS: (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.15, 0.18, 0.21, 0.25, 0.3, 0.4, 0.6),
+    OURS: (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.75, 0.9, 1.1),
 }
-SHOWN = {PAPERS: (0.5, 0.6, 0.7), OURS: (0.18,)}
+SHOWN = {PAPERS: (0.5, 0.6, 0.7), OURS: (TriggerSettings().light_theta,)}
 PACE_HZ = 10
 ERRORS = (0.01, 0.02, 0.03, 0.04, 0.06)
 PAPER = {  # Of the session that is most like ours: SHC RMSE and share of triggered frames by theta
@@ -70,7 +70,10 @@ def changes_by_rule(lattice: AnchorLattice) -> dict[str, Change]:
     def of_the_paper(previous: UnitSphereCloud, current: UnitSphereCloud) -> float:
         return decide_trigger(previous, current, lattice, TriggerSettings(policy="reference")).change or 0.0
 
-    return {PAPERS: of_the_paper, OURS: lambda previous, current: expected_change(previous, current, lattice)}
+    def of_ours(previous: UnitSphereCloud, current: UnitSphereCloud) -> float:
+        return light_difference(previous, merge(previous, current), lattice)
+
+    return {PAPERS: of_the_paper, OURS: of_ours}
 
 
 def follow(session: Session, lattice: AnchorLattice, n_steps: int = 1) -> list[Followed]:
