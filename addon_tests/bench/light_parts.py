@@ -6,7 +6,11 @@ linear colour at the session's exposure, inside each sphere, in the mean over fr
 clipped at white, as a display shows it. In the ring around the spheres, where their shadow falls, all of them count at
 once, by RMSE of colour clipped at white; under spherical harmonics alone there is no shadow.
 
+The ground truth takes more samples than the preset's comparisons: with 8 of them the lamps that a mirror shows are as
+much noise as picture.
+
     python addon_tests/bench/light_parts.py OUT SCENE.blend... [--estimator NAME] [--every N] [--preset NAME]
+        [--samples N]
 
 OUT/SCENE has a picture of each compared frame: the ground truth, the estimate under each of the parts, and `truth`.
 
@@ -84,15 +88,18 @@ def part_of(light: ObjectLight, parts: str) -> ObjectLight:
     return light if parts.endswith("reflections") else replace(light, reflections=None)
 
 
-def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dict[tuple[str, str], list[list[float]]]:
+def measured(
+    file: Path, out: Path, settings: PrevisSettings, every: int, samples: int
+) -> dict[tuple[str, str], list[list[float]]]:
     """RMSE, si-RMSE, SSIM and shown RMSE at each compared frame, by object and method."""
     run, walked = walked_scene(file, out, settings)
     methods = {f"{who} {parts}": (who, parts) for who in (settings.estimator, "truth") for parts in PARTS}
     found = defaultdict(list)
     frames = [entry.frame for entry in walked.frames if entry.active][::every]
     with open_comparer(run.scene, run.plan.objects, list(methods), run.comparison, has_key_light=True) as comparer:
+        comparer.ground_truth.cycles.samples = samples
         for frame in frames:
-            kept = out / f"truth_{frame:04d}.npz"
+            kept = out / f"truth_{samples}_{frame:04d}.npz"
             truth = read_kept(kept, load_ground_truth)
             if truth is None:
                 truth = comparer.render_ground_truth(frame)
@@ -137,13 +144,14 @@ def main() -> None:
     parser.add_argument("--estimator", default="lattice")
     parser.add_argument("--preset", default="draft")
     parser.add_argument("--every", type=int, default=4)
+    parser.add_argument("--samples", type=int, default=128, help="of the ground truth, in each pixel")
     parser.add_argument("--size", type=picture_size, help="of captures and comparisons; default: 256x192")
     options = parser.parse_args()
     settings = PrevisSettings(
         estimator=options.estimator, preset=options.preset, light="sh+key+reflections", size=options.size
     )
     for file in options.scenes:
-        found = measured(file, options.out / file.stem, settings, options.every)
+        found = measured(file, options.out / file.stem, settings, options.every, options.samples)
         for name, method in found:
             means = zip(("rmse", "si_rmse", "ssim", "shown_rmse"), np.mean(found[name, method], axis=0), strict=False)
             print(f"{file.stem:28} {name:12} {method:16}", *(f"{m} {v:.4f}" for m, v in means), flush=True)
