@@ -119,6 +119,19 @@ def test_a_lamp_that_was_seen_gives_the_light_of_the_key_light():
     assert fill_reflections(cloud, LATTICE, ObjectLight(FLAT, unseen)).radiance.max() == pytest.approx(1.0, abs=1e-5)
 
 
+def test_a_lamp_that_the_estimate_implies_is_shown_where_nothing_was_seen():
+    key = KeyLight(np.array([0.0, 0.6, 0.8]), np.array([4.0, 3.0, 2.0]), 0.2, False)
+    light, cosine = ObjectLight(FLAT + sh_of_key_light(key), key), LATTICE.directions @ key.direction
+    below = cloud_of(np.full((len(LATTICE), 3), 0.3), ~half())
+    found = fill_reflections(below, LATTICE, light).radiance
+    patch = cosine > np.cos(0.2)
+    given = (found[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(LATTICE)
+    assert given == pytest.approx(key.irradiance, rel=1e-3)
+    without = fill_reflections(below, LATTICE, ObjectLight(light.sh)).radiance
+    assert np.array_equal(found[~patch], without[~patch])
+    assert np.all(found[~half()] == pytest.approx(0.3, abs=1e-5))
+
+
 def test_the_panorama_shows_the_same_light_where_it_comes_from():
     light = random_light(seed=7)
     shown = np.maximum(basis(LATTICE.directions) @ light, 0).astype(np.float32)

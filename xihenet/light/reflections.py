@@ -8,7 +8,9 @@ bright windows spread over dark ceilings, the median no lamp at all. What border
 that there is no seam; but for lamps and windows, which would draw streaks. Measured in docs/reflections.md.
 
 A phone's picture ends at white. Where the key light of the estimate was seen, its patch is made as bright as the key
-light is: a rough metal shows a lamp by its light and not by its picture.
+light is: a rough metal shows a lamp by its light and not by its picture. One that the estimate implies is shown too, as
+far as nothing was seen there: without the lamp that lights the room a mirror is further off than with it in about the
+right place.
 """
 
 from __future__ import annotations
@@ -136,13 +138,14 @@ def _faded(difference: ArrayF64, seen: ArrayBool, around: ArrayInt) -> ArrayF64:
 
 
 def _with_lamp(radiance: ArrayF64, seen: ArrayBool, lattice: AnchorLattice, light: ObjectLight) -> ArrayF64:
-    """With the key light, where it was seen, as bright as it is: never darker than its picture."""
+    """With the key light as bright as it is: where it was seen, or else where nothing was; never darker than before."""
     key = light.key
-    if key is None or not key.is_seen:
+    if key is None:
         return radiance
     cosine = lattice.directions @ key.direction
     spacing = np.sqrt(4 * np.pi / len(lattice))
-    patch = seen & (cosine > np.cos(max(key.angular_radius, spacing)))
+    patch = cosine > np.cos(max(key.angular_radius, spacing))
+    patch &= seen if key.is_seen else ~seen
     shown = (radiance[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(lattice)
     gain = np.divide(key.irradiance, shown, out=np.ones(3), where=shown > 0)
     brighter = radiance.copy()
