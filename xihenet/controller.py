@@ -27,8 +27,8 @@ from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
 from xihenet.light import BetweenEstimates
 from xihenet.light.key_light import split_light
-from xihenet.light.reflections import N_DIRECTIONS, thinned
-from xihenet.light_change import LightFollowing, follow_light
+from xihenet.light.reflections import N_DIRECTIONS, N_NEIGHBOURS, thinned
+from xihenet.light_change import LightFollowing, follow_coarser, follow_light
 from xihenet.recording import SessionRecorder
 from xihenet.records import (
     ArrayF64,
@@ -91,11 +91,15 @@ class XiheController:
         self.backend, self.others = as_inference_backend(backend), [as_inference_backend(other) for other in others]
         self.settings = settings or ControllerSettings()
         self.lattice = AnchorLattice(backend.n_anchors)
-        self.fine_lattice = AnchorLattice(N_DIRECTIONS) if self.settings.has_reflections else None
+        looks_finely = self.settings.has_key_light or self.settings.has_reflections
+        self.fine_lattice = AnchorLattice(N_DIRECTIONS) if looks_finely else None
         self.reference_exposure = self.settings.reference_exposure
         # Tables are built on first use; built here, no frame pays for them.
         self.lattice.nearest(self.lattice.directions[:1], self.settings.nearest, self.settings.table_size)
         self.lattice.neighbours(min(self.settings.trigger.n_neighbours, len(self.lattice)))
+        if self.fine_lattice is not None:
+            self.fine_lattice.nearest(self.fine_lattice.directions[:1])
+            self.fine_lattice.neighbours(N_NEIGHBOURS)
         self._positions: dict[str, _Position] = {}
         self.out_of_view_ms: dict[str, float] = {}
         """Of the last step, by stage, at positions that were out of view."""
@@ -206,7 +210,7 @@ class XiheController:
         return reports
 
     def _reflect(self, names: Sequence[str], points: PointCloud, clock: StageClock) -> None:
-        """Take the frame in on the finer lattice, where the session asks for it; nothing of it is sent."""
+        """Take the frame in on the finer lattice, where the session has one; nothing of it is sent."""
         if self.fine_lattice is None:
             return
         with clock.stage("reflect"):
@@ -248,6 +252,10 @@ class XiheController:
         if decision.fire:
             with clock.stage("merge"):
                 look.followed, look.n_followed = self._following(position.buffers, sampled)
+                if look.n_followed and position.reflected is not None and self.fine_lattice is not None:
+                    beside = self.lattice.nearest(self.fine_lattice.directions)
+                    before, now = position.buffers.persistent, look.followed.persistent
+                    position.reflected = follow_coarser(position.reflected, before, now, beside)
             with clock.stage("encode"):
                 look.payload = encode_cloud(look.followed.temporary, settings.codec)
             look.context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
@@ -273,12 +281,13 @@ class XiheController:
         if estimate is not None and look.context is not None:
             cloud = look.fired.persistent
             with look.clock.stage("estimate"):
-                estimate = self._with_key(estimate, cloud, position.light)
+                estimate = self._with_key(estimate, position)
             unknown_because = estimate.unknown_because
             invalid = {**invalid, **self._clamped(look.followed.temporary, cloud)}
             if estimate.is_valid:
-                estimate = self._with_others(estimate, cloud, look.context, position.light)
-                estimate = replace(estimate, reflected=position.reflected, seen=look.sampled)
+                estimate = self._with_others(estimate, cloud, look.context, position)
+                reflected = position.reflected if self.settings.has_reflections else None
+                estimate = replace(estimate, reflected=reflected, seen=look.sampled)
                 position.buffers, position.light, position.lit_at_m = look.fired, estimate, position.position_m
                 position.carried = CarriedLight(estimate) if self.settings.between_estimates == "carried" else None
             # Else what was seen is still unanswered, and the trigger goes on to ask.
@@ -311,24 +320,27 @@ class XiheController:
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> LightEstimate:
         return estimate_light(self.backend, cloud, context, self.reference_exposure or 1.0)
 
-    def _with_key(self, estimate: LightEstimate, cloud: UnitSphereCloud, before: LightEstimate | None) -> LightEstimate:
+    def _with_key(self, estimate: LightEstimate, position: _Position) -> LightEstimate:
         if not estimate.is_valid:
             return estimate
-        return replace(estimate, key=self._key_light(estimate.sh_radiance, cloud, before.key if before else None))
+        before = position.light.key if position.light else None
+        return replace(estimate, key=self._key_light(estimate.sh_radiance, position, before))
 
-    def _key_light(self, sh: ArrayF64, cloud: UnitSphereCloud, previous: KeyLight | None) -> KeyLight | None:
+    def _key_light(self, sh: ArrayF64, position: _Position, previous: KeyLight | None) -> KeyLight | None:
         """Where the session asks for one."""
-        return split_light(sh, cloud, self.lattice, previous).key if self.settings.has_key_light else None
+        if not self.settings.has_key_light:
+            return None
+        return split_light(sh, position.reflected, self.fine_lattice, previous).key
 
     def _with_others(
-        self, estimate: LightEstimate, cloud: UnitSphereCloud, context: EstimateContext, before: LightEstimate | None
+        self, estimate: LightEstimate, cloud: UnitSphereCloud, context: EstimateContext, position: _Position
     ) -> LightEstimate:
         """With what the other estimators say, those for which the light can be known."""
         exposure = self.reference_exposure or 1.0
         said = {other.name: estimate_light(other, cloud, context, exposure) for other in self.others}
         lights = {name: light.sh_radiance for name, light in said.items() if light.is_valid}
-        previous = before.other_keys if before else {}
-        found = {name: self._key_light(sh, cloud, previous.get(name)) for name, sh in lights.items()}
+        previous = position.light.other_keys if position.light else {}
+        found = {name: self._key_light(sh, position, previous.get(name)) for name, sh in lights.items()}
         keys = {name: key for name, key in found.items() if key is not None}
         return replace(estimate, others=lights, other_keys=keys)
 
@@ -372,7 +384,7 @@ class _Position:
     lit_at_m: ArrayF64 | None = None
     """Where the light in force was estimated."""
     reflected: UnitSphereCloud | None = None
-    """All that was seen, on the finer lattice of reflections."""
+    """All that was seen, on the finer lattice of reflections, in which the key light is looked for too."""
     carried: CarriedLight | None = None
     """The light in force, where the session carries it on to the next estimate."""
     seen: UnitSphereCloud | None = None

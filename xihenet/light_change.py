@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.records import ArrayF32, ArrayF64, UnitSphereCloud
+from xihenet.records import ArrayF32, ArrayF64, ArrayInt, UnitSphereCloud
 
 # A channel is asked where the brighter of its two values lies between: linear light, 1 is where pictures clip.
 BRIGHTEST, DARKEST = 0.95, 0.01
@@ -68,6 +68,21 @@ def follow_light(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFoll
     srgb = old.srgb.copy()
     srgb[stale] = linear_to_srgb(srgb_to_linear(old.srgb[stale].astype(np.float64)) * factor)
     return replace(old, srgb=srgb)
+
+
+def follow_coarser(
+    fine: UnitSphereCloud, before: UnitSphereCloud, after: UnitSphereCloud, beside: ArrayInt
+) -> UnitSphereCloud:
+    """`fine` with each of its K anchors changed as the one at `beside`, (K,), was from `before` to `after`.
+
+    Those two have N anchors and the same ones set. Colours stay within [0, 1].
+    """
+    is_changed = (before.srgb != after.srgb).any(axis=1)[beside] & fine.is_set
+    old, new = (srgb_to_linear(cloud.srgb[beside[is_changed]].astype(np.float64)) for cloud in (before, after))
+    srgb = fine.srgb.copy()
+    changed = srgb_to_linear(srgb[is_changed].astype(np.float64)) * np.exp2(_stops(old, new, FIRST_CODE))
+    srgb[is_changed] = linear_to_srgb(np.clip(changed, 0, 1))
+    return replace(fine, srgb=srgb)
 
 
 def light_change(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFollowing) -> ArrayF64 | None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.sh_samples import random_directions, random_light
+from xihenet.buffers import merge
 from xihenet.colour import linear_to_srgb
 from xihenet.light.key_light import UNSEEN_RADIUS, bright_patches, mean_light, rest_of, sh_of_key_light, split_light
 from xihenet.records import KeyLight, ObjectLight, UnitSphereCloud
@@ -23,14 +24,29 @@ def flat(radiance=0.1):
     return np.sqrt(4 * np.pi) * radiance * np.eye(9)[0][:, None] * np.ones(3)
 
 
-def seen(*lamps, radius=0.14, wall=0.2, share=1.0):
-    """A cloud of a grey room in which discs are white, as far as `share` of the anchors from the top."""
-    white = np.zeros(len(LATTICE), bool)
+def seen(*lamps, radius=0.14, wall=0.2, share=1.0, shows=1.0, lattice=LATTICE):
+    """A cloud of a grey room in which discs show a radiance, as far as `share` of the anchors from the top."""
+    bright = np.zeros(len(lattice), bool)
     for direction in lamps:
-        white |= LATTICE.directions @ direction > np.cos(radius)
-    is_set = np.arange(len(LATTICE)) < share * len(LATTICE)
-    srgb = np.where(white, 1.0, linear_to_srgb(np.array(wall)))[:, None] * np.ones(3)
+        bright |= lattice.directions @ direction > np.cos(radius)
+    is_set = np.arange(len(lattice)) < share * len(lattice)
+    srgb = linear_to_srgb(np.where(bright, shows, wall))[:, None] * np.ones(3)
     return UnitSphereCloud(srgb * is_set[:, None], is_set * 2.0, is_set)
+
+
+def only(cloud, direction, lattice=LATTICE):
+    """What it shows within 15 degrees of a direction."""
+    near = lattice.directions @ direction > np.cos(np.radians(15))
+    near &= cloud.srgb[:, 0] == cloud.srgb[:, 0].max()
+    return UnitSphereCloud(cloud.srgb * near[:, None], cloud.distance_m * near, near)
+
+
+def apart_by(angle_deg, seed):
+    """Two directions that far from each other."""
+    one, other = random_directions(2, seed)
+    side = other - (other @ one) * one
+    angle = np.radians(angle_deg)
+    return one, np.cos(angle) * one + np.sin(angle) * side / np.linalg.norm(side)
 
 
 def apart(a, b):
@@ -126,6 +142,78 @@ def test_it_stays_with_one_of_two_lamps_that_change_places():
         directions.append(key.direction)
     at_second = [apart(direction, lamps[1]) < 5 for direction in directions]
     assert at_second == sorted(at_second) and not at_second[6] and at_second[-1]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_on_a_finer_sphere_a_small_lamp_is_found_within_a_degree(seed):
+    direction, fine = random_directions(1, seed)[0], AnchorLattice(8192)
+    estimate = flat(0.4) + lamp(direction, 2.0) + 0.15 * random_light(seed=seed)
+    key = split_light(estimate, seen(direction, radius=np.radians(3), lattice=fine), fine).key
+    assert key.is_seen and apart(key.direction, direction) < 1
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_lit_patch_that_is_not_clipped_is_no_lamp_that_nobody_saw(seed):
+    """An estimate points somewhere near the lamp; what was seen elsewhere is as bright as it was seen, and not more."""
+    unseen, patch = apart_by(90, seed)
+    estimate = flat(0.4) + lamp(unseen, 3.0, UNSEEN_RADIUS) + 0.1 * random_light(seed=seed)
+    fine = AnchorLattice(8192)
+    cloud = seen(patch, shows=0.6, lattice=fine)
+    key = split_light(estimate, cloud, fine).key
+    assert not key.is_seen and apart(key.direction, unseen) < 20
+    (found,) = bright_patches(cloud, fine)
+    assert not found.may_be_brighter and found.irradiance == pytest.approx(0.6 * np.pi * np.sin(0.14) ** 2, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_of_two_clipped_lamps_that_explain_as_much_the_one_that_showed_more_light(seed):
+    large, small = apart_by(50, seed)
+    cloud = merge(seen(large, radius=0.2, share=1), only(seen(small, radius=0.06), small))
+    middle = (large + small) / np.linalg.norm(large + small)
+    key = split_light(flat(0.2) + lamp(middle, 2.0) + 0.05 * random_light(seed=seed), cloud, LATTICE).key
+    assert key.is_seen and apart(key.direction, large) < 5
+
+
+def test_a_lit_floor_is_no_lamp_and_a_window_is_one_with_its_bright_pane():
+    down, fine = np.array([0.0, 0, -1]), AnchorLattice(8192)
+    assert bright_patches(seen(down, radius=np.radians(50)), LATTICE) == []
+    assert len(bright_patches(seen(down, radius=np.radians(22)), LATTICE)) == 1
+    middle, pane = np.array([0.0, 1, 0]), np.array([np.sin(0.25), np.cos(0.25), 0])
+    window = merge(seen(middle, radius=0.4, shows=0.55, lattice=fine), only(seen(pane, lattice=fine), pane, fine))
+    (found,) = bright_patches(window, fine)
+    assert apart(found.direction, middle) < apart(found.direction, pane) < apart(middle, pane)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_an_unseen_key_light_stays_while_it_explains_the_estimate_nearly_as_well(seed):
+    direction = random_directions(1, seed)[0]
+    before = split_light(flat(0.3) + lamp(direction, 2.0)).key
+    noisy = flat(0.3) + lamp(direction, 2.0) + 0.15 * random_light(seed=seed)
+    assert np.array_equal(split_light(noisy, previous=before).key.direction, before.direction)
+    away = -direction
+    assert apart(split_light(flat(0.3) + lamp(away, 2.0), previous=before).key.direction, away) < 1
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("strength", "is_taken"), [(1.0, False), (4.0, True)])
+def test_a_lamp_that_was_seen_gives_way_to_an_unseen_one_that_is_stronger_by_far(seed, strength, is_taken):
+    one, unseen = apart_by(120, seed)
+    cloud, alone = seen(one), flat(0.3) + lamp(one, 1.0)
+    before = split_light(alone, cloud, LATTICE).key
+    for previous in (None, before):
+        key = split_light(alone + lamp(unseen, strength, UNSEEN_RADIUS), cloud, LATTICE, previous).key
+        assert apart(key.direction, unseen if is_taken else one) < 12 and key.is_seen != is_taken
+
+
+@pytest.mark.parametrize("scale", [0.3, 0.9])
+def test_of_a_cloud_with_another_exposure_only_ratios_count(scale):
+    estimate = flat(0.4) + lamp(random_directions(1, 3)[0], 2.0) + 0.1 * random_light(seed=3)
+    lamps = random_directions(2, 3)
+    splits = [
+        split_light(estimate, seen(*lamps, shows=k, wall=0.2 * k), LATTICE, is_exposed=False).key for k in (1, scale)
+    ]
+    assert splits[0].direction == pytest.approx(splits[1].direction, abs=1e-5)
+    assert splits[0].irradiance == pytest.approx(splits[1].irradiance, rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from xihenet.buffers import merge
 from xihenet.camera import pixel_rays
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.controller import ControllerSettings, XiheController
-from xihenet.light_change import LightFollowing, _cannot_agree, follow_light, light_change
+from xihenet.light_change import LightFollowing, _cannot_agree, follow_coarser, follow_light, light_change
 from xihenet.metrics import shc_rmse
 from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
 from xihenet.trigger import TriggerSettings
@@ -41,6 +41,23 @@ def test_where_the_light_is_the_same_nothing_is_touched(seed, brightest):
     radiance, first, later = room(seed, 0.0, brightest)
     old = cloud(radiance, first)
     assert follow_light(old, cloud(radiance, later), FOLLOWING) is old
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=seeds, factor=st.sampled_from([0.0, 0.2, 1.0, 3.0]))
+def test_a_finer_cloud_follows_anchor_by_anchor(seed, factor):
+    radiance, first, later = room(seed)
+    changes = first & later
+    before = cloud(radiance, first)
+    after = cloud(np.where(changes[:, None], factor * radiance, radiance), first)
+    beside = np.random.default_rng(seed).integers(0, N, 5 * N)
+    fine = cloud(2 * radiance[beside], np.random.default_rng(seed).random(5 * N) < 0.6)
+    followed = follow_coarser(fine, before, after, beside)
+    same = fine.is_set & ~changes[beside]
+    assert np.array_equal(followed.srgb[same], fine.srgb[same]) and np.array_equal(followed.is_set, fine.is_set)
+    expected = factor * srgb_to_linear(fine.srgb.astype(float))
+    told = fine.is_set & changes[beside]
+    assert srgb_to_linear(followed.srgb[told].astype(float)) == pytest.approx(expected[told], rel=0.1, abs=0.004)
 
 
 @settings(max_examples=40, deadline=None)
@@ -139,9 +156,9 @@ def looking(yaw, light, number):
     return RgbdFrame(codes, plane_depth_m, CAMERA, pose, frame=number)
 
 
-def walk(lights, following):
+def walk(lights, following, **parts):
     """Reports of a session that looks around, one frame per light."""
-    chain = ControllerSettings(TriggerSettings(theta=0.02, ignored_share=0.25), following=following)
+    chain = ControllerSettings(TriggerSettings(theta=0.02, ignored_share=0.25), following=following, **parts)
     controller = XiheController(LocalBackend(estimators.load("projection", N)), chain)
     controller.add_position("Ball", POSITION)
     yaws = 0.25 * np.sin(np.arange(len(lights)))
@@ -168,6 +185,16 @@ def test_after_a_lamp_has_changed_the_estimate_is_nearer_to_the_light_for_follow
     errors = [shc_rmse(report.estimate.sh_radiance, known.sh_radiance) for report in (on, off)]
     assert on.n_followed_anchors > 0 == off.n_followed_anchors
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_the_finer_sphere_of_a_session_follows_as_well_and_is_handed_out_for_reflections_alone():
+    lights = [1.0] * 6 + [0.25]
+    on, off = (walk(lights, following, has_reflections=True)[-1].estimate for following in (FOLLOWING, None))
+    shown = [srgb_to_linear(one.reflected.srgb.astype(float)).mean(axis=1) for one in (on, off)]
+    np.testing.assert_array_equal(on.reflected.is_set, off.reflected.is_set)
+    stale = on.reflected.is_set & (shown[0] != shown[1])
+    assert stale.sum() > 50 and np.median(shown[0][stale] / shown[1][stale]) == pytest.approx(0.25, rel=0.1)
+    assert walk(lights, FOLLOWING, has_key_light=True)[-1].estimate.reflected is None
 
 
 ALL_CHANGED = LightFollowing(smallest_stops=0.25, agreeing_share=0.5, most_unchanged=0.1)

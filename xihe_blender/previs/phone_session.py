@@ -146,7 +146,7 @@ class PhoneSession:
     ) -> ObjectLight:
         """Filled once for each estimate, and carried from there."""
         lattice, name = self.controller.fine_lattice, names[0]
-        if lattice is None:
+        if lattice is None or not self.controller.settings.has_reflections:
             return light
         request = self.under_way.in_force(name, time_s)
         estimated = mean_light([self._light_of(self.under_way.in_force(one, time_s), other) for one in names])

@@ -185,7 +185,7 @@ class _Walk:
 
     def _see_reflections(self, rendered: FrameRenders) -> None:
         lattice, frame = self.session.controller.fine_lattice, rendered.captured.frame
-        if lattice is None:
+        if lattice is None or not self.run.settings.has_reflections:
             return
         for probe in (self.run.plan.probes_of(item.name)[0] for item in self.run.plan.objects):
             if probe.name in rendered.references:
@@ -200,7 +200,7 @@ class _Walk:
             source, kept = self.run.reuse.probes[frame, probe.name], self.true_keys.get(probe.name)
             if kept is None or kept[0] != source:
                 view, previous = true_view(self.run, probe, frame, lattice), kept[1] if kept else None
-                split = split_light(rendered.references[probe.name].hdr, view, lattice, previous)
+                split = split_light(rendered.references[probe.name].hdr, view, lattice, previous, is_exposed=False)
                 self.true_keys[probe.name] = source, split.key
 
     def _true_light(self, name: str) -> ObjectLight:

@@ -6,12 +6,14 @@ integral of Legendre's polynomials over the disc). What is left is the estimate 
 the estimate, exactly.
 
 Where is it? Bright patches of the sphere that the phone has seen come first: nobody doubts a lamp in the picture, while
-bands 1 and 2 of an estimate point beside it as soon as there are two. What the pictures do not show, or show far too
-weak for what the estimate says, is looked for in the estimate: the two directions that explain its bands best, found in
-turns, each in what the other leaves. How strong each is, least squares say, none negative.
+bands 1 and 2 of an estimate point beside it as soon as there are two. A picture says how strong a patch is, too, unless
+it is clipped; only then may it be as much stronger as the estimate has it. What the pictures do not show, or show far
+too weak for what the estimate says, is looked for in the estimate: the two directions that explain its bands best,
+found in turns, each in what the other leaves. How strong each is, least squares say, drawn to what was seen.
 
 There is none in flat light, in the dark, and where a second light elsewhere is as strong within a tenth. A key light
-stays where it was as long as what is there is nearly as strong as the strongest: it does not jump between two lamps.
+stays where it was as long as what is there is nearly as strong as the strongest, or explains the estimate nearly as
+well: it does not jump between two lamps.
 """
 
 from __future__ import annotations
@@ -36,17 +38,39 @@ BRIGHT_OF_BRIGHTEST, BRIGHT_OF_MEDIAN = 0.5, 2.5
 """An anchor belongs to a bright patch from these shares of the brightest and of the median of what was seen on."""
 
 MOST_PATCHES = 6
+WIDEST_PATCH = float(np.radians(30))
+"""Larger ones cast no shadow worth the name: a sunlit floor, a wall beside a lamp."""
+
 SAME_LIGHT_COSINE = float(np.cos(np.radians(25)))
 """Two patches nearer than this are one light: lamps of one chandelier, panes of one window."""
 
+MOST_MIDDLES = 300
+N_SHIFTS = 4
+BELL = 1 / (1 - math.cos(math.radians(15)))
+WHITE = 0.95
+"""An anchor with a channel from this on, encoded, may be brighter than a picture shows."""
+
+MOST_OF_SEEN = 1.5
+"""As many times what was seen of it is a patch that is not clipped, at most: small ones are caught by few anchors."""
+
+SEEN_COUNTS, UNSEEN_COUNTS = 0.3, 0.6
+"""How much what was seen of a light counts against what the estimate says, and that nothing was."""
+
 SEEN_IS_ENOUGH = 0.6
 """Patches that explain this share of what the estimate's own directions explain are taken for them."""
+
+LAMP_SHOWS = 0.015
+"""A clipped patch that shows this share of all light, or more, is a lamp, wherever the estimate points."""
 
 EQUAL = 0.9
 LEAST_FLUX = 0.08
 """Share of all light that has to come from the key light: less is flat light."""
 
 STAYS_FROM = 0.5
+UNSEEN_WEIGHS = 2 / 3
+"""A light that only the estimate implies is the key light if it is half as strong again as one that was seen."""
+
+EXPLAINS_AS_WELL = 0.8
 N_TURNS = 40
 N_ASCENT, N_STEPS = 40, 3
 SWEEPS = 60
@@ -68,9 +92,13 @@ class LightSplit:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
+    """Of a patch that was seen, `irradiance` is what it showed on a surface that faces it."""
+
     direction: ArrayF64
     angular_radius: float
     is_seen: bool
+    irradiance: float = 0.0
+    may_be_brighter: bool = True
 
 
 def split_light(
@@ -78,14 +106,19 @@ def split_light(
     cloud: UnitSphereCloud | None = None,
     lattice: AnchorLattice | None = None,
     previous: KeyLight | None = None,
+    *,
+    is_exposed: bool = True,
 ) -> LightSplit:
     """Split an estimate into its key light and the rest.
 
     Parameters
     ----------
     sh_radiance : (9, 3) radiance coefficients, linear
-    cloud, lattice : what was seen from the position, if anything was; the lattice is the cloud's
-    previous : the key light of the estimate before, which stays while it is at least half as strong as the strongest
+    cloud, lattice : what was seen from the position, if anything was; the lattice is the cloud's. A fine one knows
+        better where a lamp is, see `xihenet.light.reflections`
+    previous : the key light of the estimate before, which stays while it is at least half as strong as the strongest;
+        what was not seen counts two thirds
+    is_exposed : whether the cloud carries the exposure of the coefficients; else its ratios alone count
 
     ValueError for coefficients that are not finite or not of order 2, and for a cloud without its lattice.
     """
@@ -97,14 +130,17 @@ def split_light(
     luminance = coefficients @ LUMINANCE
     if luminance[0] <= 0 or not np.any(luminance[1:]):
         return LightSplit(None, coefficients, "dark" if luminance[0] <= 0 else "flat")
-    candidates = _candidates(luminance, cloud, lattice)
+    candidates = _candidates(luminance, cloud, lattice, previous, is_exposed)
     strengths = _strengths(luminance, candidates)
     chosen = _chosen(candidates, strengths, previous)
     if chosen is None:
         return LightSplit(None, coefficients, "two lights")
     key = _fitted(coefficients, candidates[chosen], strengths[chosen])
-    flux = sh_of_key_light(key)[0] @ LUMINANCE
-    if flux < LEAST_FLUX * luminance[0]:
+    flux, stays = (
+        sh_of_key_light(key)[0] @ LUMINANCE,
+        previous is not None and _is_same(key.direction, previous.direction),
+    )
+    if flux < LEAST_FLUX * luminance[0] * (STAYS_FROM if stays else 1):
         return LightSplit(None, coefficients, "flat")
     return LightSplit(key, coefficients - sh_of_key_light(key))
 
@@ -164,46 +200,78 @@ def _of_disc(direction: ArrayF64, angular_radius: float) -> ArrayF64:
     return column
 
 
-def _candidates(luminance: ArrayF64, cloud: UnitSphereCloud | None, lattice: AnchorLattice | None) -> list[_Candidate]:
+def _candidates(
+    luminance: ArrayF64,
+    cloud: UnitSphereCloud | None,
+    lattice: AnchorLattice | None,
+    previous: KeyLight | None,
+    is_exposed: bool,
+) -> list[_Candidate]:
     """Where the key light may be: bright patches that were seen, or else what the estimate implies."""
-    implied = [_Candidate(direction, UNSEEN_RADIUS, False) for direction in _two_directions(luminance)]
+    implied = _implied(luminance, previous)
     if cloud is None or lattice is None:
         return implied
-    seen = bright_patches(cloud, lattice)
+    seen = bright_patches(cloud, lattice, is_exposed)
     if not seen:
         return implied
+    shows = [one.irradiance for one in seen if is_exposed and one.may_be_brighter]
+    if max(shows, default=0) >= LAMP_SHOWS * float(luminance[0]) / _Y0:
+        return seen
     if _explained(luminance, seen) >= SEEN_IS_ENOUGH * _explained(luminance, implied):
         return seen
     return seen + [one for one in implied if not any(_is_same(one.direction, other.direction) for other in seen)]
 
 
-def bright_patches(cloud: UnitSphereCloud, lattice: AnchorLattice) -> list[_Candidate]:
-    """Bright patches of what was seen, the strongest first: lamps, windows, the sun on a floor.
+def _implied(luminance: ArrayF64, previous: KeyLight | None) -> list[_Candidate]:
+    """Lights that explain the estimate; the one before, if that was one of them and explains it nearly as well."""
+    free, *kept = (
+        [_Candidate(direction, UNSEEN_RADIUS, False) for direction in _two_directions(luminance, held)]
+        for held in (None, *([] if previous is None or previous.is_seen else [previous.direction]))
+    )
+    if kept and _explained(luminance, kept[0]) >= EXPLAINS_AS_WELL * _explained(luminance, free):
+        return kept[0]
+    return free
 
-    Neighbouring bright anchors are a patch, and patches near each other are one light.
+
+def bright_patches(cloud: UnitSphereCloud, lattice: AnchorLattice, is_exposed: bool = True) -> list[_Candidate]:
+    """Bright patches of what was seen, those with most light near their middle first: lamps, windows.
+
+    Bright anchors near each other are one light, and what is wide is none. Of a cloud that is not exposed as the
+    estimate, any may be brighter.
     """
     if not cloud.is_set.any():
         return []
     shown = srgb_to_linear(cloud.srgb.astype(np.float64)) @ LUMINANCE
     seen = shown[cloud.is_set]
     least = max(BRIGHT_OF_BRIGHTEST * seen.max(), BRIGHT_OF_MEDIAN * float(np.median(seen)))
-    found = []
-    for patch in _patches(cloud.is_set & (shown >= least) & (shown > 0), lattice):
-        weights = shown[patch]
-        found.append((weights @ lattice.directions[patch], float(weights.sum()), len(patch)))
-    found.sort(key=lambda one: -one[1])
-    lights: list[tuple[ArrayF64, int]] = []
-    for total, _, n in found:
-        place = next((i for i, other in enumerate(lights) if _is_same(_unit(total), _unit(other[0]))), None)
-        if place is None:
-            lights.append((total, n))
-        else:
-            lights[place] = (lights[place][0] + total, lights[place][1] + n)
     solid_angle = 4 * np.pi / len(cloud)
-    return [
-        _Candidate(_unit(total), float(np.clip(_radius_of(n * solid_angle), SMALLEST_RADIUS, LARGEST_RADIUS)), True)
-        for total, n in lights[:MOST_PATCHES]
-    ]
+    is_lamp = np.zeros(len(cloud), bool)
+    for patch in _patches(cloud.is_set & (shown >= least) & (shown > 0), lattice):
+        is_lamp[patch] = _radius_of(len(patch) * solid_angle) <= WIDEST_PATCH
+    left = np.flatnonzero(is_lamp)
+    found: list[_Candidate] = []
+    while len(left) and len(found) < MOST_PATCHES:
+        middle = _middle(lattice.directions[left], shown[left])
+        cosine = lattice.directions[left] @ middle
+        of_it = left[cosine > SAME_LIGHT_COSINE]
+        radius = float(np.clip(_radius_of(len(of_it) * solid_angle), SMALLEST_RADIUS, LARGEST_RADIUS))
+        irradiance = float(shown[of_it] @ cosine[cosine > SAME_LIGHT_COSINE]) * solid_angle
+        is_clipped = not is_exposed or bool((cloud.srgb[of_it] >= WHITE).any())
+        found.append(_Candidate(middle, radius, True, irradiance, is_clipped))
+        left = left[cosine <= SAME_LIGHT_COSINE]
+    return found
+
+
+def _middle(directions: ArrayF64, shown: ArrayF64) -> ArrayF64:
+    """(3,) the middle of the light with most light in it, of directions (N, 3) that show some."""
+    tried = directions[:: -(-len(directions) // MOST_MIDDLES)]
+    # A bell, which has its peak in the middle of an even patch, where a cap has it anywhere.
+    near = np.exp((tried @ directions.T - 1) * BELL)
+    middle: ArrayF64 = tried[np.argmax(near @ shown)]
+    for _ in range(N_SHIFTS):
+        is_near = directions @ middle > SAME_LIGHT_COSINE
+        middle = _unit(shown[is_near] @ directions[is_near])
+    return middle
 
 
 def _patches(is_bright: ArrayBool, lattice: AnchorLattice) -> list[list[int]]:
@@ -225,11 +293,11 @@ def _radius_of(solid_angle: float) -> float:
     return float(np.arccos(np.clip(1 - solid_angle / (2 * np.pi), -1, 1)))
 
 
-def _two_directions(luminance: ArrayF64) -> list[ArrayF64]:
+def _two_directions(luminance: ArrayF64, held: ArrayF64 | None = None) -> list[ArrayF64]:
     """The directions of two point lights that explain bands 1 and 2 best, the stronger first, each found in what the
-    other leaves; one where a second adds nothing."""
+    other leaves; one where a second adds nothing. `held` (3,) is one of them, wherever the bands point."""
     bands = luminance[1:]
-    directions = np.array([_peak(bands), np.zeros(3)])
+    directions = np.array([_peak(bands) if held is None else held, np.zeros(3)])
     columns = np.zeros((2, 8))
     columns[0] = _of_point(directions[0])
     strengths = np.array([_strength(columns[0], bands), 0.0])
@@ -237,7 +305,8 @@ def _two_directions(luminance: ArrayF64) -> list[ArrayF64]:
         for one in (1, 0):
             other = 1 - one
             left = bands - strengths[other] * columns[other]
-            directions[one] = _peak(left, directions[one] if turn else None)
+            if one == 1 or held is None:
+                directions[one] = _peak(left, directions[one] if turn else None)
             columns[one] = _of_point(directions[one])
             strengths[one] = _strength(columns[one], left)
     if strengths.min() <= 0 or _is_same(*directions):
@@ -291,18 +360,39 @@ _ZZ = math.sqrt(3) / 2
 
 
 def _strengths(luminance: ArrayF64, candidates: list[_Candidate]) -> ArrayF64:
-    """Irradiance of each candidate, least squares over bands 1 and 2, none negative: by coordinate descent."""
+    """Irradiance of each candidate, least squares over bands 1 and 2, none negative: by coordinate descent.
+
+    Where any was seen, each is drawn to what was seen of it, clipped ones to as many times that as fits all of them.
+    """
     columns = np.array([_of_disc(one.direction, one.angular_radius)[1:] for one in candidates])
     gram, right = (columns @ columns.T).tolist(), (columns @ luminance[1:]).tolist()
-    strengths = [0.0] * len(candidates)
+    any_seen, expected = any(one.is_seen for one in candidates), _expected(luminance, candidates, columns)
+    counts = [
+        any_seen * (SEEN_COUNTS if one.is_seen else UNSEEN_COUNTS) * row[i]
+        for i, (one, row) in enumerate(zip(candidates, gram, strict=True))
+    ]
+    most = [math.inf if one.may_be_brighter else MOST_OF_SEEN * one.irradiance for one in candidates]
+    strengths = list(expected)
     for _ in range(SWEEPS):
         before = list(strengths)
         for i, row in enumerate(gram):
             left = right[i] - sum(one * strength for one, strength in zip(row, strengths, strict=True))
-            strengths[i] = max(0.0, strengths[i] + left / row[i])
+            drawn = counts[i] * (expected[i] - strengths[i])
+            strengths[i] = min(most[i], max(0.0, strengths[i] + (left + drawn) / (row[i] + counts[i])))
         if all(abs(now - then) <= 1e-6 * then for now, then in zip(strengths, before, strict=True)):
             break
     return np.array(strengths)
+
+
+def _expected(luminance: ArrayF64, candidates: list[_Candidate], columns: ArrayF64) -> list[float]:
+    """Irradiance of each by what was seen: 0 of what was not."""
+    expected = np.array([one.irradiance for one in candidates])
+    is_clipped = np.array([one.is_seen and one.may_be_brighter for one in candidates])
+    together = expected[is_clipped] @ columns[is_clipped]
+    left = luminance[1:] - expected[~is_clipped] @ columns[~is_clipped]
+    if together.any():
+        expected[is_clipped] *= max(0.0, float(together @ left / (together @ together)))
+    return [float(one) for one in expected]
 
 
 def _explained(luminance: ArrayF64, candidates: list[_Candidate]) -> float:
@@ -314,14 +404,18 @@ def _explained(luminance: ArrayF64, candidates: list[_Candidate]) -> float:
 
 def _chosen(candidates: list[_Candidate], strengths: ArrayF64, previous: KeyLight | None) -> int | None:
     """Which candidate is the key light; None where two are as strong."""
-    strongest = int(np.argmax(strengths))
+    weights = strengths * [1 if one.is_seen else UNSEEN_WEIGHS for one in candidates]
+    strongest = int(np.argmax(weights))
     if previous is not None:
-        near = [i for i, one in enumerate(candidates) if _is_same(one.direction, previous.direction)]
-        before = max(near, key=lambda i: strengths[i], default=strongest)
-        if strengths[before] >= STAYS_FROM * strengths[strongest]:
-            return before
-    others = np.delete(strengths, strongest)
-    if len(others) and others.max() >= EQUAL * strengths[strongest]:
+        stay = [
+            i
+            for i, one in enumerate(candidates)
+            if _is_same(one.direction, previous.direction) and weights[i] >= STAYS_FROM * weights[strongest]
+        ]
+        if stay:
+            return max(stay, key=lambda i: float(candidates[i].direction @ previous.direction))
+    others = np.delete(weights, strongest)
+    if len(others) and others.max() >= EQUAL * weights[strongest]:
         return None
     return strongest
 
