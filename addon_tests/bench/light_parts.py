@@ -6,8 +6,8 @@ linear colour at the session's exposure, inside each sphere, in the mean over fr
 clipped at white, as a display shows it. In the ring around the spheres, where their shadow falls, all of them count at
 once, by RMSE of colour clipped at white; under spherical harmonics alone there is no shadow.
 
-The ground truth takes more samples than the preset's comparisons: with 8 of them the lamps that a mirror shows are as
-much noise as picture.
+The ground truth takes more samples than the preset's comparisons, since with 8 the lamps that a mirror shows are as
+much noise as picture, and only around the spheres; beyond, the pictures have the captured room.
 
     python addon_tests/bench/light_parts.py OUT SCENE.blend... [--estimator NAME] [--every N] [--preset NAME]
         [--samples N]
@@ -22,11 +22,13 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from xihe_blender.cli.arguments import picture_size
@@ -47,7 +49,7 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.metrics import image_rmse
 from xihenet.recording import load_frame
-from xihenet.records import ArrayF64, ObjectLight
+from xihenet.records import ArrayBool, ArrayF64, ObjectLight
 
 PLACE = "placement_0"
 PARTS = ("sh", "sh+key", "sh+key+reflections")
@@ -99,7 +101,9 @@ def measured(
     with open_comparer(run.scene, run.plan.objects, list(methods), run.comparison, has_key_light=True) as comparer:
         comparer.ground_truth.cycles.samples = samples
         for frame in frames:
-            kept = out / f"truth_{samples}_{frame:04d}.npz"
+            for one in (comparer.ground_truth, comparer.lit):
+                look_at_objects_alone(one, run.plan.objects, frame)
+            kept = out / f"truth_near_{samples}_{frame:04d}.npz"
             truth = read_kept(kept, load_ground_truth)
             if truth is None:
                 truth = comparer.render_ground_truth(frame)
@@ -114,7 +118,7 @@ def measured(
             layers = comparer.render_layers(captured, lights, surfaces).layers
             background = srgb_to_linear(captured.srgb_u8 / 255.0)
             exposed = truth.radiance.astype(np.float64) * captured.exposure
-            row = [exposed]
+            row = [np.where(is_rendered(comparer.ground_truth)[..., None], exposed, background)]
             for method in methods:
                 passes = {item.name: layers[comparer.layers[method, item.name]] for item in run.plan.objects}
                 has_shadow = methods[method][1] != "sh"
@@ -129,6 +133,32 @@ def measured(
                         found[name, method].append(errors(picture, exposed, weights))
             write_picture(out / f"parts_{frame:04d}.png", linear_to_srgb(np.clip(np.hstack(row), 0, 1)))
     return found
+
+
+def look_at_objects_alone(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object], frame: int) -> None:
+    """Render their box in the picture and as much again on each side, where their shadows fall."""
+    scene.frame_set(frame)
+    depsgraph = scene.view_layers[0].depsgraph
+    corners = np.concatenate([world_box_corners(item, depsgraph) for item in objects])
+    places = np.array([world_to_camera_view(scene, scene.camera, Vector(corner))[:2] for corner in corners])
+    low, high = places.min(axis=0), places.max(axis=0)
+    size = high - low
+    low, high = np.clip(low - size, 0, 1), np.clip(high + size, 0, 1)
+    render = scene.render
+    render.use_border, render.use_crop_to_border = True, False
+    render.border_min_x, render.border_min_y = (float(one) for one in low)
+    render.border_max_x, render.border_max_y = (float(one) for one in high)
+
+
+def is_rendered(scene: bpy.types.Scene) -> ArrayBool:
+    """(H, W) the pixels within the border."""
+    render = scene.render
+    width, height = render.resolution_x, render.resolution_y
+    x, y = (np.arange(width) + 0.5) / width, 1 - (np.arange(height) + 0.5) / height
+    inside: ArrayBool = ((y > render.border_min_y) & (y < render.border_max_y))[:, None] & (
+        (x > render.border_min_x) & (x < render.border_max_x)
+    )
+    return inside
 
 
 def errors(picture: ArrayF64, truth: ArrayF64, weights: ArrayF64) -> list[float]:

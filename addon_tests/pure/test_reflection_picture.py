@@ -109,12 +109,14 @@ def test_a_lamp_that_was_seen_gives_the_light_of_the_key_light():
     direction, radius = random_directions(1, 5)[0], 0.2
     cosine = LATTICE.directions @ direction
     picture = np.where((cosine > np.cos(radius))[:, None], 1.0, 0.3 * np.ones(3))
-    key = KeyLight(direction, np.array([4.0, 3.0, 2.0]), radius, True)
+    key = KeyLight(direction, np.array([0.4, 0.3, 0.2]), radius, True)
     cloud = cloud_of(picture, np.ones(len(LATTICE), bool))
     found = fill_reflections(cloud, LATTICE, ObjectLight(FLAT + sh_of_key_light(key), key)).radiance
     patch = cosine > np.cos(radius)
     given = (found[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(LATTICE)
     assert given == pytest.approx(key.irradiance, rel=1e-3)
+    sun = KeyLight(direction, 100 * key.irradiance, radius, True)
+    assert fill_reflections(cloud, LATTICE, ObjectLight(FLAT, sun)).radiance.max() == pytest.approx(4.0, abs=1e-4)
     unseen = KeyLight(direction, key.irradiance, radius, False)
     assert fill_reflections(cloud, LATTICE, ObjectLight(FLAT, unseen)).radiance.max() == pytest.approx(1.0, abs=1e-5)
 

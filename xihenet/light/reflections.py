@@ -8,9 +8,9 @@ bright windows spread over dark ceilings, the median no lamp at all. What border
 that there is no seam; but for lamps and windows, which would draw streaks. Measured in docs/reflections.md.
 
 A phone's picture ends at white. Where the key light of the estimate was seen, its patch is made as bright as the key
-light is: a rough metal shows a lamp by its light and not by its picture. One that the estimate implies is shown too, as
-far as nothing was seen there: without the lamp that lights the room a mirror is further off than with it in about the
-right place.
+light is, up to four times: a rough metal shows a lamp by its light and not by its picture. One that the estimate
+implies is shown too, as far as nothing was seen there: without the lamp that lights the room a mirror is further off
+than with it in about the right place.
 """
 
 from __future__ import annotations
@@ -48,6 +48,10 @@ DARKEST = 0.003
 
 LAMP_OF_USUAL = 2.5
 """What is brighter than so many medians is a lamp or a window, and does not go on beyond what was seen of it."""
+
+MOST_BRIGHTENED = 4.0
+"""Times what a picture shows of a key light that was seen, at most. An estimate gives a small lamp in view much of the
+light of others, and a mirror then has a sun in it: without this bound `living_room` is 13 % further off."""
 
 FINE_HEIGHT = 256
 """Of the grid of directions in which a rendered picture is looked at: 16 for each anchor."""
@@ -138,7 +142,8 @@ def _faded(difference: ArrayF64, seen: ArrayBool, around: ArrayInt) -> ArrayF64:
 
 
 def _with_lamp(radiance: ArrayF64, seen: ArrayBool, lattice: AnchorLattice, light: ObjectLight) -> ArrayF64:
-    """With the key light as bright as it is: where it was seen, or else where nothing was; never darker than before."""
+    """With the key light as bright as it is, where nothing was seen; or, where it was, up to MOST_BRIGHTENED times as
+    bright as its picture, and never darker."""
     key = light.key
     if key is None:
         return radiance
@@ -149,7 +154,7 @@ def _with_lamp(radiance: ArrayF64, seen: ArrayBool, lattice: AnchorLattice, ligh
     shown = (radiance[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(lattice)
     gain = np.divide(key.irradiance, shown, out=np.ones(3), where=shown > 0)
     brighter = radiance.copy()
-    brighter[patch] *= np.maximum(gain, 1.0)
+    brighter[patch] *= np.clip(gain, 1.0, MOST_BRIGHTENED if key.is_seen else np.inf)
     return brighter
 
 
