@@ -7,10 +7,10 @@ What was never seen is halfway, as a ratio, between the estimate and the median 
 bright windows spread over dark ceilings, the median no lamp at all. What borders on it fades into it in ratios too, so
 that there is no seam; but for lamps and windows, which would draw streaks. Measured in docs/reflections.md.
 
-A phone's picture ends at white. Where the key light of the estimate was seen, its patch is made as bright as the key
-light is, up to four times: a rough metal shows a lamp by its light and not by its picture. One that the estimate
-implies is shown too, as far as nothing was seen there: without the lamp that lights the room a mirror is further off
-than with it in about the right place.
+A phone's picture ends at white. What is white in it is shown twice as bright, and where it is the key light of the
+estimate as bright as that, up to sixteen times: a rough metal shows a lamp by its light and not by its picture. A key
+light that the estimate implies is shown too, as far as nothing was seen there: without the lamp that lights the room a
+mirror is further off than with it in about the right place.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from functools import lru_cache
 import numpy as np
 
 from xihenet.colour import srgb_to_linear
-from xihenet.light.key_light import LUMINANCE
+from xihenet.light.key_light import LUMINANCE, SAME_LIGHT_COSINE, WHITE
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions, solid_angles
 from xihenet.records import (
@@ -31,6 +31,7 @@ from xihenet.records import (
     ArrayF64,
     ArrayInt,
     FarPixels,
+    KeyLight,
     ObjectLight,
     PointCloud,
     Reflections,
@@ -49,9 +50,9 @@ DARKEST = 0.003
 LAMP_OF_USUAL = 2.5
 """What is brighter than so many medians is a lamp or a window, and does not go on beyond what was seen of it."""
 
-MOST_BRIGHTENED = 4.0
-"""Times what a picture shows of a key light that was seen, at most. An estimate gives a small lamp in view much of the
-light of others, and a mirror then has a sun in it: without this bound `living_room` is 13 % further off."""
+WHITE_IS, MOST_BRIGHTENED = 2.0, 16.0
+"""Times what a picture shows where it ends at white, and where that is the key light, at most: an estimate gives a lamp
+in view the light of others too. Measured in docs/reflections.md."""
 
 FINE_HEIGHT = 256
 """Of the grid of directions in which a rendered picture is looked at: 16 for each anchor."""
@@ -105,7 +106,7 @@ def fill_reflections(cloud: UnitSphereCloud, lattice: AnchorLattice, light: Obje
         around = lattice.neighbours(min(N_NEIGHBOURS, len(lattice)))
         radiance = np.exp(guess + _faded(difference, seen, around))
         radiance[seen] = shown
-        radiance = _with_lamp(radiance, seen, lattice, light)
+        radiance *= _brightened(radiance, cloud, lattice, light.key)
     return Reflections(radiance.astype(np.float32), float(seen.mean()) if len(seen) else 0.0)
 
 
@@ -141,21 +142,22 @@ def _faded(difference: ArrayF64, seen: ArrayBool, around: ArrayInt) -> ArrayF64:
     return faded
 
 
-def _with_lamp(radiance: ArrayF64, seen: ArrayBool, lattice: AnchorLattice, light: ObjectLight) -> ArrayF64:
-    """With the key light as bright as it is, where nothing was seen; or, where it was, up to MOST_BRIGHTENED times as
-    bright as its picture, and never darker."""
-    key = light.key
+def _brightened(radiance: ArrayF64, cloud: UnitSphereCloud, lattice: AnchorLattice, key: KeyLight | None) -> ArrayF64:
+    """(N, 3) by what the picture is multiplied, 1 or more: where it ends at white, and where the key light is."""
+    is_white = cloud.is_set & (cloud.srgb >= WHITE).any(axis=1)
+    gain = np.where(is_white[:, None], WHITE_IS, np.ones(3))
     if key is None:
-        return radiance
+        return gain
     cosine = lattice.directions @ key.direction
-    spacing = np.sqrt(4 * np.pi / len(lattice))
-    patch = cosine > np.cos(max(key.angular_radius, spacing))
-    patch &= seen if key.is_seen else ~seen
+    if key.is_seen:
+        patch, most = is_white & (cosine > SAME_LIGHT_COSINE), MOST_BRIGHTENED
+    else:
+        spacing = np.sqrt(4 * np.pi / len(lattice))
+        patch, most = ~cloud.is_set & (cosine > np.cos(max(key.angular_radius, spacing))), np.inf
     shown = (radiance[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(lattice)
-    gain = np.divide(key.irradiance, shown, out=np.ones(3), where=shown > 0)
-    brighter = radiance.copy()
-    brighter[patch] *= np.clip(gain, 1.0, MOST_BRIGHTENED if key.is_seen else np.inf)
-    return brighter
+    of_key = np.divide(key.irradiance, shown, out=np.ones(3), where=shown > 0)
+    gain[patch] = np.maximum(gain[patch], np.minimum(of_key, most))
+    return gain
 
 
 def reflection_panorama(reflections: Reflections, height: int = 128) -> ArrayF32:
