@@ -1,5 +1,7 @@
 """A world that gives glossy rays a picture and all others its spherical harmonics."""
 
+from functools import partial
+
 import bpy
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun
 from xihe_blender.apply.reflection_pictures import (
     PICTURE,
     forget_reflections,
+    has_sun_for_lamp,
     reflect_in_world,
     reflect_on_timeline,
     reflects,
@@ -18,9 +21,11 @@ from xihe_blender.apply.reflection_pictures import (
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, f_curves, key_light_changes, make_sh_world
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.io.exr import write_radiance
+from xihenet.light.reflections import reflection_panorama, without_key_light
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions
-from xihenet.records import KeyLight
+from xihenet.records import KeyLight, Reflections
+from xihenet.sphere import AnchorLattice
 
 SIDE = 40
 FLAT = np.sqrt(4 * np.pi) * 0.2 * np.eye(9)[0][:, None] * np.ones(3)
@@ -32,13 +37,17 @@ def white():
 
 
 def mirror():
+    return metal(0.0)
+
+
+def metal(roughness):
     made = bpy.data.materials.new("Mirror")
     if made.node_tree is None:
         made.use_nodes = True
     tree = made.node_tree
     tree.nodes.clear()
     shader = tree.nodes.new("ShaderNodeBsdfGlossy")
-    shader.inputs["Color"].default_value, shader.inputs["Roughness"].default_value = (1, 1, 1, 1), 0.0
+    shader.inputs["Color"].default_value, shader.inputs["Roughness"].default_value = (1, 1, 1, 1), roughness
     tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
     return made
 
@@ -91,6 +100,32 @@ def test_a_mirror_shows_no_sun_beside_the_picture():
     apply_key_to_sun(sun, KeyLight(np.array([0, -1.0, 0]), np.full(3, 5.0), 0.2, True))
     after = rendered(scene, (SIDE, SIDE), 64)
     assert after == pytest.approx(before, abs=0.02)
+
+
+def test_rough_metal_under_a_sun_and_a_picture_without_its_lamp_is_as_under_all_of_the_picture():
+    """By far fewer samples: a lamp in the picture is found by luck."""
+    lattice, key = AnchorLattice(8192), KeyLight(np.array([0.6, -0.8, 0]), np.full(3, 2.0), 0.15, True)
+    radiance = np.full((len(lattice), 3), 0.1, np.float32)
+    is_lamp = lattice.directions @ key.direction > np.cos(key.angular_radius)
+    radiance[is_lamp] = 2.0 / (np.pi * np.sin(key.angular_radius) ** 2)
+    whole = Reflections(radiance, 1.0)
+    scene, _ = shown(partial(metal, 0.33))
+    assert has_sun_for_lamp(bpy.data.objects["Ball"])
+    reflect_in_world(scene.world, reflection_panorama(whole))
+    expected = rendered(scene, (SIDE, SIDE), 2048)[8:-8, 8:-8]
+    sun = make_key_sun("Xihe Key Light Ball")
+    scene.collection.objects.link(sun)
+    apply_key_to_sun(sun, key)
+    reflect_in_world(scene.world, reflection_panorama(without_key_light(whole, key)))
+    found = rendered(scene, (SIDE, SIDE), 64)[8:-8, 8:-8]
+    assert found.mean() == pytest.approx(expected.mean(), rel=0.05)
+    assert np.abs(found - expected).mean() < 0.08 * expected.mean()
+
+
+@pytest.mark.parametrize(("roughness", "has_sun"), [(0.0, False), (0.1, False), (0.2, True), (0.33, True)])
+def test_smooth_things_reflect_the_lamp_itself(roughness, has_sun):
+    scene = empty_scene()
+    assert has_sun_for_lamp(sphere(scene, "Ball", (0, 0, 0), 1.0, metal(roughness))) is has_sun
 
 
 def test_a_new_picture_takes_the_place_of_the_old_one():

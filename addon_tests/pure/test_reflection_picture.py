@@ -8,10 +8,16 @@ from addon_tests.pure.sh_samples import random_directions, random_light
 from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb
 from xihenet.light.key_light import sh_of_key_light
-from xihenet.light.reflections import fill_reflections, reflection_panorama, rendered_reflections, thinned
+from xihenet.light.reflections import (
+    fill_reflections,
+    reflection_panorama,
+    rendered_reflections,
+    thinned,
+    without_key_light,
+)
 from xihenet.mirror_ball import ball_directions
 from xihenet.panorama import panorama_directions, solid_angles
-from xihenet.records import Intrinsics, KeyLight, ObjectLight, PointCloud, UnitSphereCloud
+from xihenet.records import Intrinsics, KeyLight, ObjectLight, PointCloud, Reflections, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import basis
 from xihenet.sphere import AnchorLattice
@@ -135,6 +141,23 @@ def test_a_lamp_that_the_estimate_implies_is_shown_where_nothing_was_seen():
     without = fill_reflections(below, LATTICE, ObjectLight(light.sh)).radiance
     assert np.array_equal(found[~patch], without[~patch])
     assert np.all(found[~half()] == pytest.approx(0.3, abs=1e-5))
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0, 2.0])
+def test_a_sun_takes_as_much_light_out_of_the_picture_as_it_gives_and_none_from_elsewhere(share):
+    direction, radius = random_directions(1, 7)[0], 0.2
+    cosine = LATTICE.directions @ direction
+    radiance = np.where((cosine > np.cos(radius))[:, None], [9.0, 6.0, 3.0], 0.3)
+    radiance[LATTICE.directions @ -direction > np.cos(radius)] = 20.0
+    whole = Reflections(radiance.astype(np.float32), 0.4)
+    facing, solid_angle = np.maximum(cosine, 0)[:, None], 4 * np.pi / len(cosine)
+    lamp = (radiance * facing * (cosine > np.cos(radius))[:, None]).sum(axis=0) * solid_angle
+    key = KeyLight(direction, share * lamp, radius, True)
+    rest = without_key_light(whole, key)
+    taken = ((whole.radiance - rest.radiance) * facing).sum(axis=0) * solid_angle
+    assert taken == pytest.approx(min(share, 1) * lamp, rel=1e-4)
+    assert np.array_equal(rest.radiance[cosine < 0.9], whole.radiance[cosine < 0.9]) and rest.radiance.min() >= 0
+    assert rest.seen_share == 0.4 and without_key_light(whole, None) is whole
 
 
 def test_the_panorama_shows_the_same_light_where_it_comes_from():

@@ -65,7 +65,7 @@ def key_sun_changes(sun: bpy.types.Object, keys: Mapping[int, KeyLight | None], 
 
 
 def show_in_reflections(sun: bpy.types.Object, is_shown: bool) -> None:
-    """Whether glossy and transmission rays see `sun`: not where they see a picture that shows its lamp."""
+    """Whether glossy and transmission rays see `sun`: not where a picture shows its lamp."""
     sun.visible_glossy = sun.visible_transmission = is_shown
 
 

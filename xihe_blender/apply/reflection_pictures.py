@@ -3,6 +3,10 @@
 `Is Glossy Ray` and `Is Transmission Ray` choose between two backgrounds. Cycles must not sample such a world by its
 importance map, which knows one background for all rays: with sampling method NONE each kind of ray gets its own light,
 with MANUAL they were off by 1 and 5 %.
+
+So Cycles finds a lamp in the picture by luck alone, a small one seldom, and on rough metal that is noise. It finds a
+sun in every sample. Rough things have the sun of the key light, and a picture without its lamp. Mirrors and clear glass
+have the picture with its lamp, which shows what it looks like, and no sun.
 """
 
 from __future__ import annotations
@@ -17,9 +21,20 @@ from numpy.typing import ArrayLike
 from xihe_blender.apply.datablocks import MADE_BY, NODE_GROUP_NAME
 from xihe_blender.apply.images import as_environment, write_image
 from xihe_blender.apply.sh_worlds import curve_lists, hold_keys
+from xihe_blender.light_transport.nodes import smoothest_roughness
 
 PICTURE = "Xihe Reflections"
 """Of the nodes in a world, and the beginning of its image's name."""
+
+
+ROUGH_FROM = 0.2
+"""Roughness of a highlight in which a lamp is not to be told from a disc: some 5 degrees wide."""
+
+
+def has_sun_for_lamp(item: bpy.types.Object) -> bool:
+    """Whether a virtual object is so rough that the sun takes the place of its lamp in the picture."""
+    roughness = [smoothest_roughness(slot.material) for slot in item.material_slots]
+    return all(value is not None and value >= ROUGH_FROM for value in roughness)
 
 
 def reflect_in_world(world: bpy.types.World, panorama: ArrayLike, exposure: float = 1.0) -> None:

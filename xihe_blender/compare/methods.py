@@ -30,7 +30,7 @@ from xihe_blender.apply.key_suns import (
     show_in_reflections,
 )
 from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene, show_only_in
-from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_in_world
+from xihe_blender.apply.reflection_pictures import forget_reflections, has_sun_for_lamp, reflect_in_world
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
@@ -60,7 +60,7 @@ from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.light.key_light import rest_of
-from xihenet.light.reflections import reflection_panorama
+from xihenet.light.reflections import reflection_panorama, without_key_light
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
@@ -256,14 +256,16 @@ class Comparer:
     def _light(self, key: tuple[str, str], light: ObjectLight, exposure: float) -> None:
         """Set world and sun of a method's object to `light`, which carries `exposure`."""
         world = self.worlds[key]
+        has_sun = light.reflections is None or (key in self.suns and has_sun_for_lamp(bpy.data.objects[key[1]]))
         if light.reflections is None:
             forget_reflections(world)
         else:
-            reflect_in_world(world, reflection_panorama(light.reflections), exposure)
+            reflected = without_key_light(light.reflections, light.key) if has_sun else light.reflections
+            reflect_in_world(world, reflection_panorama(reflected), exposure)
         if key in self.suns:
             apply_sh_to_world(world, rest_of(light), exposure)
             apply_key_to_sun(self.suns[key], light.key, exposure)
-            show_in_reflections(self.suns[key], light.reflections is None)
+            show_in_reflections(self.suns[key], has_sun)
         else:
             apply_sh_to_world(world, light.sh, exposure)
 

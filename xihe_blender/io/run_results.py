@@ -297,6 +297,7 @@ class ReflectionsResult:
 
     picture: Annotated[str, "a panorama in the run's folder, laid out as Blender reads one, scene radiance"]
     seen_share: Annotated[float, "of its directions the phone has seen, 0 to 1; the rest is a guess"]
+    has_lamp: Annotated[bool, "of the key light; else its sun is reflected, as on rough objects"] = True
 
 
 @dataclass(frozen=True, kw_only=True)

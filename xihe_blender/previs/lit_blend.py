@@ -18,7 +18,7 @@ from xihe_blender.apply import key_suns, sh_worlds
 from xihe_blender.apply.datablocks import LIT_SCENE, LightOf
 from xihe_blender.apply.images import as_environment
 from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene, show_only_in
-from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_on_timeline
+from xihe_blender.apply.reflection_pictures import forget_reflections, has_sun_for_lamp, reflect_on_timeline
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
     catch_shadows_of,
@@ -38,7 +38,7 @@ from xihe_blender.previs.results import as_coefficients, as_key
 from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.light.key_light import rest_of
-from xihenet.light.reflections import reflection_panorama
+from xihenet.light.reflections import reflection_panorama, without_key_light
 from xihenet.records import ObjectLight
 from xihenet.surfaces import Surface
 
@@ -59,16 +59,20 @@ def light_changes(
     changes: dict[str, tuple[LightChange, ...]] = {}
     for index, item in enumerate(plan.objects):
         of_one: list[LightChange] = []
+        has_sun = has_sun_for_lamp(item)
         pictures: dict[bytes, ReflectionsResult] = {}
         for frame, light in ((frame, of_all[item.name]) for frame, of_all in lights.items()):
             reflected = None
             if light.reflections is not None:
                 path = outputs.reflections(index, item.name, len(pictures) + 1)
-                pixels = light.reflections.radiance.tobytes()
+                shown = without_key_light(light.reflections, light.key) if has_sun else light.reflections
+                pixels = shown.radiance.tobytes()
                 if pixels not in pictures:
-                    write_radiance(path, as_environment(reflection_panorama(light.reflections) / exposure))
+                    write_radiance(path, as_environment(reflection_panorama(shown) / exposure))
                     seen_share = float(light.reflections.seen_share)
-                    pictures[pixels] = ReflectionsResult(picture=outputs.relative(path), seen_share=seen_share)
+                    pictures[pixels] = ReflectionsResult(
+                        picture=outputs.relative(path), seen_share=seen_share, has_lamp=not has_sun
+                    )
                 reflected = pictures[pixels]
             sh, key = as_coefficients(light.sh), as_key(light.key)
             change = LightChange(frame=frame, sh=sh, key=key, reflections=reflected)
@@ -82,6 +86,11 @@ def pictures_of(changes: Sequence[LightChange], folder: Path) -> dict[int, Path]
     """What is reflected from each frame of `changes` on, in the run's `folder`; nothing where a file is gone."""
     pictures = {one.frame: folder / one.reflections.picture for one in changes if one.reflections is not None}
     return pictures if all(path.is_file() for path in pictures.values()) else {}
+
+
+def shows_lamp(changes: Sequence[LightChange]) -> bool:
+    """Whether those pictures show the lamp of the key light, so that its sun is not reflected."""
+    return any(one.reflections is not None and one.reflections.has_lamp for one in changes)
 
 
 def apply_lights(
@@ -100,7 +109,8 @@ def apply_lights(
         world.use_fake_user = True
         lights = {change.frame: light_of_change(change) for change in of_one}
         pictures = pictures_of(of_one, folder)
-        key_object_light(world, name, lights, exposure, pictures, has_key_light=has_key_light)
+        has_lamp = bool(pictures) and shows_lamp(of_one)
+        key_object_light(world, name, lights, exposure, pictures, has_key_light=has_key_light, has_lamp=has_lamp)
         light_of(name, frames).write(world)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
@@ -110,11 +120,12 @@ def apply_lights(
 
 def key_object_light(
     world: bpy.types.World, name: str, lights: Mapping[int, ObjectLight], exposure: float,
-    pictures: Mapping[int, Path] | None = None, *, has_key_light: bool,
+    pictures: Mapping[int, Path] | None = None, *, has_key_light: bool, has_lamp: bool = False,
 ) -> None:  # fmt: skip
     """Key the light of virtual object `name`, by frame, onto its world and, with `has_key_light`, onto its sun.
 
     Without it a sun of an earlier run is taken away; and so are its reflections without `pictures`, files by frame.
+    With `has_lamp` they show what the sun stands for, which is then not reflected itself.
     """
     forget_reflections(world)
     sh_worlds.key_light_changes(world, {frame: rest_of(light) for frame, light in lights.items()}, exposure)
@@ -122,7 +133,7 @@ def key_object_light(
     if has_key_light:
         sun = key_suns.make_key_sun(key_suns.sun_name(name))
         sun.use_fake_user = True
-        key_suns.show_in_reflections(sun, not pictures)
+        key_suns.show_in_reflections(sun, not has_lamp)
         key_suns.key_sun_changes(sun, {frame: light.key for frame, light in lights.items()}, exposure)
     else:
         key_suns.remove_key_sun(key_suns.key_sun(key_suns.sun_name(name)))

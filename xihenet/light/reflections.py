@@ -160,6 +160,24 @@ def _brightened(radiance: ArrayF64, cloud: UnitSphereCloud, lattice: AnchorLatti
     return gain
 
 
+def without_key_light(reflections: Reflections, key: KeyLight | None) -> Reflections:
+    """What is reflected beside a sun that shines as `key`: its lamp is taken out, as far as the sun gives its light.
+
+    Both carry the same exposure; without a key light it is all of the picture.
+    """
+    if key is None:
+        return reflections
+    radiance = reflections.radiance.astype(np.float64)
+    cosine = AnchorLattice(len(radiance)).directions @ key.direction
+    brightness = radiance @ LUMINANCE
+    is_lamp = cosine > min(SAME_LIGHT_COSINE, math.cos(key.angular_radius))
+    is_lamp &= brightness > LAMP_OF_USUAL * np.median(brightness)
+    shown = (radiance[is_lamp] * cosine[is_lamp, None]).sum(axis=0) * 4 * np.pi / len(radiance)
+    of_sun = np.divide(key.irradiance, shown, out=np.zeros(3), where=shown > 0)
+    radiance[is_lamp] *= np.maximum(1 - of_sun, 0)
+    return replace(reflections, radiance=radiance.astype(np.float32))
+
+
 def reflection_panorama(reflections: Reflections, height: int = 128) -> ArrayF32:
     """(H, 2H, 3) float32, laid out as `xihenet.panorama` does, smooth between anchors."""
     around, weights = _between_anchors(len(reflections.radiance), height)
