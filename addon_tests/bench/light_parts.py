@@ -140,7 +140,9 @@ def look_at_objects_alone(scene: bpy.types.Scene, objects: Iterable[bpy.types.Ob
     scene.frame_set(frame)
     depsgraph = scene.view_layers[0].depsgraph
     corners = np.concatenate([world_box_corners(item, depsgraph) for item in objects])
-    places = np.array([world_to_camera_view(scene, scene.camera, Vector(corner))[:2] for corner in corners])
+    # The camera as it stands at that frame: the original moves with the window's scene alone.
+    camera = scene.camera.evaluated_get(depsgraph)
+    places = np.array([world_to_camera_view(scene, camera, Vector(corner))[:2] for corner in corners])
     low, high = places.min(axis=0), places.max(axis=0)
     size = high - low
     low, high = np.clip(low - size, 0, 1), np.clip(high + size, 0, 1)

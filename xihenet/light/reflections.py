@@ -9,8 +9,8 @@ that there is no seam; but for lamps and windows, which would draw streaks. Meas
 
 A phone's picture ends at white. What is white in it is shown twice as bright, and where it is the key light of the
 estimate as bright as that, up to sixteen times: a rough metal shows a lamp by its light and not by its picture. A key
-light that the estimate implies is shown too, as far as nothing was seen there: without the lamp that lights the room a
-mirror is further off than with it in about the right place.
+light that the estimate implies is shown too, as far as nothing was seen there, and a quarter dimmer, since it is only
+about there: without the lamp that lights the room a mirror is further off.
 """
 
 from __future__ import annotations
@@ -53,6 +53,9 @@ LAMP_OF_USUAL = 2.5
 WHITE_IS, MOST_BRIGHTENED = 2.0, 16.0
 """Times what a picture shows where it ends at white, and where that is the key light, at most: an estimate gives a lamp
 in view the light of others too. Measured in docs/reflections.md."""
+
+IMPLIED_IS = 0.75
+"""Share of a key light that nobody has seen."""
 
 FINE_HEIGHT = 256
 """Of the grid of directions in which a rendered picture is looked at: 16 for each anchor."""
@@ -150,12 +153,12 @@ def _brightened(radiance: ArrayF64, cloud: UnitSphereCloud, lattice: AnchorLatti
         return gain
     cosine = lattice.directions @ key.direction
     if key.is_seen:
-        patch, most = is_white & (cosine > SAME_LIGHT_COSINE), MOST_BRIGHTENED
+        patch, share, most = is_white & (cosine > SAME_LIGHT_COSINE), 1.0, MOST_BRIGHTENED
     else:
         spacing = np.sqrt(4 * np.pi / len(lattice))
-        patch, most = ~cloud.is_set & (cosine > np.cos(max(key.angular_radius, spacing))), np.inf
+        patch, share, most = ~cloud.is_set & (cosine > np.cos(max(key.angular_radius, spacing))), IMPLIED_IS, np.inf
     shown = (radiance[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(lattice)
-    of_key = np.divide(key.irradiance, shown, out=np.ones(3), where=shown > 0)
+    of_key = np.divide(share * key.irradiance, shown, out=np.ones(3), where=shown > 0)
     gain[patch] = np.maximum(gain[patch], np.minimum(of_key, most))
     return gain
 
