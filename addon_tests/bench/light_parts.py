@@ -153,13 +153,13 @@ def look_at_objects_alone(scene: bpy.types.Scene, objects: Iterable[bpy.types.Ob
 
 
 def is_rendered(scene: bpy.types.Scene) -> ArrayBool:
-    """(H, W) the pixels within the border."""
+    """(H, W) the pixels wholly within the border, but for those at it, which Blender may round away."""
     render = scene.render
     width, height = render.resolution_x, render.resolution_y
     x, y = (np.arange(width) + 0.5) / width, 1 - (np.arange(height) + 0.5) / height
-    inside: ArrayBool = ((y > render.border_min_y) & (y < render.border_max_y))[:, None] & (
-        (x > render.border_min_x) & (x < render.border_max_x)
-    )
+    rows = (y > render.border_min_y + 1 / height) & (y < render.border_max_y - 1 / height)
+    columns = (x > render.border_min_x + 1 / width) & (x < render.border_max_x - 1 / width)
+    inside: ArrayBool = rows[:, None] & columns
     return inside
 
 
