@@ -9,7 +9,7 @@ that there is no seam; but for lamps and windows, which would draw streaks. Meas
 
 A phone's picture ends at white. What is white in it is shown twice as bright, and where it is the key light of the
 estimate as bright as that, up to sixteen times: a rough metal shows a lamp by its light and not by its picture. A key
-light that the estimate implies is shown too, as far as nothing was seen there, and a quarter dimmer, since it is only
+light that the estimate implies is shown too, as far as nothing was seen there, and dimmer, since it is only
 about there: without the lamp that lights the room a mirror is further off.
 """
 
@@ -54,7 +54,7 @@ WHITE_IS, MOST_BRIGHTENED = 2.0, 16.0
 """Times what a picture shows where it ends at white, and where that is the key light, at most: an estimate gives a lamp
 in view the light of others too. Measured in docs/reflections.md."""
 
-IMPLIED_IS = 0.75
+IMPLIED_IS = 0.6
 """Share of a key light that nobody has seen."""
 
 FINE_HEIGHT = 256
