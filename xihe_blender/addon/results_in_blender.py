@@ -46,14 +46,7 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.kept_session import FoundLight
-from xihe_blender.previs.lit_blend import (
-    apply_lights,
-    key_object_light,
-    light_of,
-    make_lit_scene,
-    pictures_of,
-    shows_lamp,
-)
+from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene, reflected_of
 from xihe_blender.previs.results import last_surfaces
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.light.key_light import mean_light
@@ -131,11 +124,9 @@ def show_found_light(
     at_run = light_of(name, results.frames)
     places = {name: place.tolist() for name, place in places_m.items()}
     is_at_run = at_run.is_of(places)
-    changes = results.lights.get(name, ()) if is_at_run else ()
-    pictures, has_key_light = pictures_of(changes, folder), results.settings.has_key_light
-    has_lamp = bool(pictures) and shows_lamp(changes)
-    light = _changes(of_frames)
-    key_object_light(world, name, light, exposure, pictures, has_key_light=has_key_light, has_lamp=has_lamp)
+    reflected = reflected_of(results.lights.get(name, ()) if is_at_run else (), folder)
+    has_key_light = results.settings.has_key_light
+    key_object_light(world, name, _changes(of_frames), exposure, reflected, has_key_light=has_key_light)
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
     LightOf(places, live={} if is_at_run else live).write(world)
     clear_keys(world)

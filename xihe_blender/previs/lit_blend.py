@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -82,15 +82,27 @@ def light_changes(
     return changes
 
 
-def pictures_of(changes: Sequence[LightChange], folder: Path) -> dict[int, Path]:
+@dataclass(frozen=True)
+class Reflected:
+    """What an object reflects: a file from each of these frames on.
+
+    With `has_lamp` they show the lamp of the key light, so that its sun is not reflected.
+    """
+
+    pictures: Mapping[int, Path]
+    has_lamp: bool
+
+
+NOTHING_REFLECTED = Reflected({}, False)
+
+
+def reflected_of(changes: Sequence[LightChange], folder: Path) -> Reflected:
     """What is reflected from each frame of `changes` on, in the run's `folder`; nothing where a file is gone."""
-    pictures = {one.frame: folder / one.reflections.picture for one in changes if one.reflections is not None}
-    return pictures if all(path.is_file() for path in pictures.values()) else {}
-
-
-def shows_lamp(changes: Sequence[LightChange]) -> bool:
-    """Whether those pictures show the lamp of the key light, so that its sun is not reflected."""
-    return any(one.reflections is not None and one.reflections.has_lamp for one in changes)
+    known = {one.frame: one.reflections for one in changes if one.reflections is not None}
+    pictures = {frame: folder / one.picture for frame, one in known.items()}
+    if not all(path.is_file() for path in pictures.values()):
+        return NOTHING_REFLECTED
+    return Reflected(pictures, any(one.has_lamp for one in known.values()))
 
 
 def apply_lights(
@@ -108,9 +120,7 @@ def apply_lights(
         world = sh_worlds.make_sh_world(sh_worlds.world_name(name))
         world.use_fake_user = True
         lights = {change.frame: light_of_change(change) for change in of_one}
-        pictures = pictures_of(of_one, folder)
-        has_lamp = bool(pictures) and shows_lamp(of_one)
-        key_object_light(world, name, lights, exposure, pictures, has_key_light=has_key_light, has_lamp=has_lamp)
+        key_object_light(world, name, lights, exposure, reflected_of(of_one, folder), has_key_light=has_key_light)
         light_of(name, frames).write(world)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
@@ -120,20 +130,19 @@ def apply_lights(
 
 def key_object_light(
     world: bpy.types.World, name: str, lights: Mapping[int, ObjectLight], exposure: float,
-    pictures: Mapping[int, Path] | None = None, *, has_key_light: bool, has_lamp: bool = False,
+    reflected: Reflected = NOTHING_REFLECTED, *, has_key_light: bool,
 ) -> None:  # fmt: skip
     """Key the light of virtual object `name`, by frame, onto its world and, with `has_key_light`, onto its sun.
 
-    Without it a sun of an earlier run is taken away; and so are its reflections without `pictures`, files by frame.
-    With `has_lamp` they show what the sun stands for, which is then not reflected itself.
+    Without it a sun of an earlier run is taken away; and so are its reflections where nothing is `reflected`.
     """
     forget_reflections(world)
     sh_worlds.key_light_changes(world, {frame: rest_of(light) for frame, light in lights.items()}, exposure)
-    reflect_on_timeline(world, pictures or {})
+    reflect_on_timeline(world, reflected.pictures)
     if has_key_light:
         sun = key_suns.make_key_sun(key_suns.sun_name(name))
         sun.use_fake_user = True
-        key_suns.show_in_reflections(sun, not has_lamp)
+        key_suns.show_in_reflections(sun, not reflected.has_lamp)
         key_suns.key_sun_changes(sun, {frame: light.key for frame, light in lights.items()}, exposure)
     else:
         key_suns.remove_key_sun(key_suns.key_sun(key_suns.sun_name(name)))

@@ -9,8 +9,8 @@ that there is no seam; but for lamps and windows, which would draw streaks. Meas
 
 A phone's picture ends at white. What is white in it is shown twice as bright, and where it is the key light of the
 estimate as bright as that, up to sixteen times: a rough metal shows a lamp by its light and not by its picture. A key
-light that the estimate implies is shown too, as far as nothing was seen there, and dimmer, since it is only
-about there: without the lamp that lights the room a mirror is further off.
+light that the estimate implies is shown too, as far as nothing was seen there, and dimmer, since nobody knows exactly
+where it is: without the lamp that lights the room a mirror is further off.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ WHITE_IS, MOST_BRIGHTENED = 2.0, 16.0
 in view the light of others too. Measured in docs/reflections.md."""
 
 IMPLIED_IS = 0.6
-"""Share of a key light that nobody has seen."""
+"""Share of its light with which a key light that nobody has seen is shown."""
 
 FINE_HEIGHT = 256
 """Of the grid of directions in which a rendered picture is looked at: 16 for each anchor."""
