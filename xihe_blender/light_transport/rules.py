@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import bpy
 
 from xihe_blender.light_transport.enclosure import MAX_BOUNCES, bounces_needed
-from xihe_blender.light_transport.nodes import Interaction
 from xihe_blender.light_transport.transport_survey import TransportSurvey
+from xihe_blender.scene.shader_nodes import Interaction
 from xihenet.effects import Requirement, Setting
 
 

@@ -34,7 +34,7 @@ from xihe_blender.light_transport.enclosure import (
     undivided_mesh,
 )
 from xihe_blender.light_transport.inspection import SceneInspection
-from xihe_blender.light_transport.nodes import Interaction, Shading, light_emits, material_shading, world_shading
+from xihe_blender.scene.shader_nodes import Interaction, Shading, light_emits, material_shading, world_shading
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF64
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import bpy
 
-from xihe_blender.light_transport.nodes import smoothest_roughness
+from xihe_blender.scene.shader_nodes import smoothest_roughness
 from xihenet.light import LightParts
 
 SHINY_BELOW = 0.4

@@ -19,7 +19,7 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
-from xihe_blender.light_transport.nodes import constant, has_nodes
+from xihe_blender.scene.shader_nodes import constant, has_nodes
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.records import ArrayF32, ArrayF64
 

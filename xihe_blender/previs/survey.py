@@ -21,7 +21,6 @@ from xihe_blender.capture.scanner import phone_camera, session_time_s
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.light_transport import nodes
 from xihe_blender.light_transport.animation import is_animated, read_once, shows_a_film
 from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.plan import required_by_survey
@@ -30,6 +29,7 @@ from xihe_blender.light_transport.transport_survey import TransportSurveyor
 from xihe_blender.previs.movement import MovementSurvey
 from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.scene_faults import faults_at_frame, image_faults, place_faults
+from xihe_blender.scene import shader_nodes
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 from xihenet.camera import in_view
 from xihenet.effects import Requirement
@@ -220,7 +220,7 @@ class RoomSurvey:
             if instance.show_self and not parents & self.virtual:
                 lights |= self._lights_of(instance, found)
         world = depsgraph.scene_eval.world
-        if world is not None and nodes.world_shading(world).interactions & nodes.Interaction.EMISSION:
+        if world is not None and shader_nodes.world_shading(world).interactions & shader_nodes.Interaction.EMISSION:
             lights.add(world.name)
             self.is_driven |= _may_change(world.original)
         self.lights.add(frozenset(lights))
@@ -231,7 +231,7 @@ class RoomSurvey:
         item = instance.object
         place = tuple(map(tuple, instance.matrix_world))
         if item.type == "LIGHT":
-            if not nodes.light_emits(item.data):
+            if not shader_nodes.light_emits(item.data):
                 return set()
             self.is_driven |= item.data.node_tree is not None and is_animated(item.data.node_tree.original)
             shape = (float(getattr(item.data, name, 0.0)) for name in LAMP_SHAPE)
@@ -247,8 +247,8 @@ class RoomSurvey:
 
 
 def _roughness_and_glow(material: bpy.types.Material) -> tuple[float | None, bool]:
-    glows = nodes.material_shading(material).interactions & nodes.Interaction.EMISSION
-    return nodes.smoothest_roughness(material), bool(glows)
+    glows = shader_nodes.material_shading(material).interactions & shader_nodes.Interaction.EMISSION
+    return shader_nodes.smoothest_roughness(material), bool(glows)
 
 
 def _may_change(block: bpy.types.ID) -> bool:
