@@ -216,7 +216,7 @@ class XiheController:
         with clock.stage("reflect"):
             points = thinned(points)
             for position in (self._positions[name] for name in names):
-                sampled = replace(sample_unit_sphere(points, position.position_m, self.fine_lattice), surfaces=None)
+                sampled = sample_unit_sphere(points, position.position_m, self.fine_lattice, with_surfaces=False)
                 assert position.reflected is not None
                 position.reflected = merge(position.reflected, sampled)
 

@@ -60,15 +60,16 @@ def sample_unit_sphere(
     *,
     method: NearestMethod = "exact",
     table_size: tuple[int, int] = TABLE_SIZE,
+    with_surfaces: bool = True,
 ) -> UnitSphereCloud:
     """Give each anchor the colour and the ray distance of the nearest point in its direction.
 
     The cloud's points and `position_m` (3,), where the light is wanted, are in the world frame, metres; ValueError
     unless the position is finite. `method` and `table_size` as of `AnchorLattice.nearest`.
 
-    With `surfaces` if the cloud has a grid. Points that are NaN or infinite, that lie at the position itself, whose
-    distance overflows float32, or whose colour is NaN or infinite are left out and counted. Of points with the same
-    distance in float32 the first one wins. Colours are clipped to [0, 1].
+    With `surfaces` if the cloud has a grid, unless they are not wanted, which is faster. Points that are NaN or
+    infinite, that lie at the position itself, whose distance overflows float32, or whose colour is NaN or infinite are
+    left out and counted. Of points with the same distance in float32 the first one wins. Colours are clipped to [0, 1].
 
     Distances are within 4e-7 of their size plus 2^-48 of the position's distance from the origin (1e-11 m at 10 km)
     plus the step of the smallest float32, 1e-45 m; a point nearer than that may pass for one at the position itself.
@@ -87,7 +88,9 @@ def sample_unit_sphere(
             camera = (cloud.grid.camera_m - position).astype(np.float32)
         seen = SeenGrid(cloud.grid, columns, distance_m, camera, not distance_m.max() < FARTHEST_M)
         nearest = partial(lattice.nearest_to_columns, method=method, table_size=table_size)
-        is_set, winners, surfaces = _with_patches(seen, anchors, winners, nearest_m, lattice, nearest)
+        is_set, winners, surfaces = _with_patches(
+            seen, anchors, winners, nearest_m, lattice, nearest, with_surfaces=with_surfaces
+        )
         if cloud.grid.far is not None:
             is_set, winners, surfaces = _with_far_light(
                 cloud, cloud.grid.far, camera, is_set, winners, nearest_m, surfaces, nearest
@@ -102,18 +105,20 @@ def sample_unit_sphere(
 
 def _with_patches(
     seen: SeenGrid, anchors: ArrayInt, winners: ArrayInt, nearest_m: ArrayF32, lattice: AnchorLattice,
-    nearest: Callable[[ArrayF32], ArrayInt],
-) -> tuple[ArrayBool, ArrayInt, AnchorSurfaces]:  # fmt: skip
+    nearest: Callable[[ArrayF32], ArrayInt], *, with_surfaces: bool,
+) -> tuple[ArrayBool, ArrayInt, AnchorSurfaces | None]:  # fmt: skip
     """After patches have competed as well: which anchors are set, the pixel that won each of those, and what it shows.
 
     `nearest_m` (N,) is changed in place; `winners` are the pixels of its finite ones, in order.
     """
     lines = lines_through(seen.grid, winners)
-    patches = fit_patches(seen, lines)
     patch_of_anchor = np.full(len(nearest_m), -1)
     patch_of_anchor[nearest_m < np.inf] = np.arange(len(winners))
     sparse = sparse_pixels(seen, lines, anchors)
-    cut, points = cut_patches(patches.chosen(sparse), len(nearest_m))
+    # Patches of the other pixels are fitted for their surfaces alone.
+    patches = fit_patches(seen, lines) if with_surfaces else None
+    may_reach = fit_patches(seen, lines.take(sparse, axis=2)) if patches is None else patches.chosen(sparse)
+    cut, points = cut_patches(may_reach, len(nearest_m))
     if len(cut):
         cut_m = _distances(points)
         is_reached, nearest_cut = _nearest_points(nearest(points), cut_m, len(nearest_m))
@@ -123,13 +128,14 @@ def _with_patches(
         nearest_m[reached], patch_of_anchor[reached] = cut_m[nearest_cut], sparse[cut[nearest_cut]]
     is_set = patch_of_anchor >= 0
     shown = patch_of_anchor[is_set]
-    return is_set, winners[shown], describe_surfaces(seen, patches, shown, is_set, lattice.directions)
+    surfaces = None if patches is None else describe_surfaces(seen, patches, shown, is_set, lattice.directions)
+    return is_set, winners[shown], surfaces
 
 
 def _with_far_light(
     cloud: PointCloud, far: FarPixels, camera: ArrayF32, is_set: ArrayBool, winners: ArrayInt, nearest_m: ArrayF32,
-    surfaces: AnchorSurfaces, nearest: Callable[[ArrayF32], ArrayInt],
-) -> tuple[ArrayBool, ArrayInt, AnchorSurfaces]:  # fmt: skip
+    surfaces: AnchorSurfaces | None, nearest: Callable[[ArrayF32], ArrayInt],
+) -> tuple[ArrayBool, ArrayInt, AnchorSurfaces | None]:  # fmt: skip
     """After pixels without a distance have taken the anchors that are left; as of `_with_patches`."""
     points = far.rays * np.float32(FAR_M) + camera[:, None]
     distance_m = _distances(points)
@@ -141,13 +147,15 @@ def _with_far_light(
     nearest_m[is_new] = distance_m[reaching]
     pixel_of_anchor = np.full(len(nearest_m), -1)
     pixel_of_anchor[is_set], pixel_of_anchor[is_new] = winners, far.pixels[reaching]
+    if surfaces is not None:
+        surfaces = _seen_from_afar(surfaces, is_new, far.rays.T[reaching])
     is_set = is_set | is_new
-    return is_set, pixel_of_anchor[is_set], _seen_from_afar(surfaces, is_new, far.rays.T[reaching])
+    return is_set, pixel_of_anchor[is_set], surfaces
 
 
 def _with_openings(
-    openings: ArrayInt, is_set: ArrayBool, winners: ArrayInt, distance_m: ArrayF32, surfaces: AnchorSurfaces
-) -> AnchorSurfaces:
+    openings: ArrayInt, is_set: ArrayBool, winners: ArrayInt, distance_m: ArrayF32, surfaces: AnchorSurfaces | None
+) -> AnchorSurfaces | None:
     """What anchors show through an opening is far away, though it competes where the opening is.
 
     `distance_m` (N,) is changed in place; `winners` are the pixels of the anchors `is_set`, in order.
@@ -155,6 +163,8 @@ def _with_openings(
     through = np.zeros(len(is_set), np.bool_)
     through[is_set] = np.isin(winners, openings)
     distance_m[through] = np.maximum(distance_m[through], np.float32(FAR_M))
+    if surfaces is None:
+        return None
     return _seen_from_afar(surfaces, through, -surfaces.view_direction[through])
 
 

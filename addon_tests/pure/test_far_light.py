@@ -105,6 +105,9 @@ def test_far_light_is_sampled_as_by_the_plain_loop(seed):
     cloud = unproject_frame(frame_of(plane_depth_m, CAMERA, frame.world_from_camera, frame.srgb_u8))
     position_m, lattice = rng.uniform(-2, 2, 3) * rng.choice([1, 1e-30, 1e38]), AnchorLattice(320)
     fast, slow = (sample(cloud, position_m, lattice) for sample in (sample_unit_sphere, sample_unit_sphere_reference))
+    bare = sample_unit_sphere(cloud, position_m, lattice, with_surfaces=False)
+    for name in ("is_set", "srgb", "distance_m"):
+        np.testing.assert_array_equal(getattr(bare, name), getattr(fast, name))
     np.testing.assert_array_equal(fast.is_set, slow.is_set)
     np.testing.assert_allclose(fast.distance_m, slow.distance_m, rtol=1e-6)
     np.testing.assert_array_equal(fast.srgb, slow.srgb)

@@ -46,6 +46,13 @@ def assert_same(a, b):
     assert a.invalid == b.invalid
 
 
+def assert_same_without_surfaces(cloud, position_m, lattice, with_them):
+    bare = sample_unit_sphere(cloud, position_m, lattice, with_surfaces=False)
+    assert bare.surfaces is None
+    for name in ("is_set", "srgb", "distance_m"):
+        np.testing.assert_array_equal(getattr(bare, name), getattr(with_them, name))
+
+
 def table_range_m():
     """(N,) distance of the table top in each anchor's direction; NaN beside it."""
     directions = LATTICE.directions
@@ -64,6 +71,7 @@ def test_sampling_pictures_agrees_with_the_reference(n, seed):
         fast = sample_unit_sphere(cloud, position, lattice)
         slow = sample_unit_sphere_reference(cloud, position, lattice)
         assert_same(fast, slow)
+        assert_same_without_surfaces(cloud, position, lattice, fast)
         np.testing.assert_array_equal(fast.surfaces.is_edge, slow.surfaces.is_edge)
         for name in ("facing", "incidence", "view_direction", "camera_distance_m"):
             np.testing.assert_allclose(getattr(fast.surfaces, name), getattr(slow.surfaces, name), atol=2e-5)
@@ -79,6 +87,7 @@ def test_sampling_pictures_agrees_with_the_reference_on_nasty_points(width, heig
     cloud = PointCloud(points, rng.random(points.shape), grid=PixelGrid(height, width, [0.1, 0.2, 0.3]))
     fast = sample_unit_sphere(cloud, np.zeros(3), LATTICE)
     assert_same(fast, sample_unit_sphere_reference(cloud, np.zeros(3), LATTICE))
+    assert_same_without_surfaces(cloud, np.zeros(3), LATTICE, fast)
     assert np.isfinite(fast.surfaces.facing).all() and (np.abs(fast.surfaces.facing) <= 1 + 1e-6).all()
 
 

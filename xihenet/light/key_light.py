@@ -208,15 +208,13 @@ def _candidates(
     is_exposed: bool,
 ) -> list[_Candidate]:
     """Where the key light may be: bright patches that were seen, or else what the estimate implies."""
-    implied = _implied(luminance, previous)
-    if cloud is None or lattice is None:
-        return implied
-    seen = bright_patches(cloud, lattice, is_exposed)
-    if not seen:
-        return implied
+    seen = [] if cloud is None or lattice is None else bright_patches(cloud, lattice, is_exposed)
     shows = [one.irradiance for one in seen if is_exposed and one.may_be_brighter]
     if max(shows, default=0) >= LAMP_SHOWS * float(luminance[0]) / _Y0:
         return seen
+    implied = _implied(luminance, previous)
+    if not seen:
+        return implied
     if _explained(luminance, seen) >= SEEN_IS_ENOUGH * _explained(luminance, implied):
         return seen
     return seen + [one for one in implied if not any(_is_same(one.direction, other.direction) for other in seen)]
@@ -241,8 +239,9 @@ def bright_patches(cloud: UnitSphereCloud, lattice: AnchorLattice, is_exposed: b
     """
     if not cloud.is_set.any():
         return []
-    shown = srgb_to_linear(cloud.srgb.astype(np.float64)) @ LUMINANCE
-    seen = shown[cloud.is_set]
+    seen = srgb_to_linear(cloud.srgb[cloud.is_set].astype(np.float64)) @ LUMINANCE
+    shown = np.zeros(len(cloud))
+    shown[cloud.is_set] = seen
     least = max(BRIGHT_OF_BRIGHTEST * seen.max(), BRIGHT_OF_MEDIAN * float(np.median(seen)))
     solid_angle = 4 * np.pi / len(cloud)
     is_lamp = np.zeros(len(cloud), bool)

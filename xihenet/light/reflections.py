@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from xihenet.records import (
     FarPixels,
     KeyLight,
     ObjectLight,
+    PixelGrid,
     PointCloud,
     Reflections,
     UnitSphereCloud,
@@ -72,23 +74,41 @@ SHARPNESS = 1.5
 
 
 def thinned(cloud: PointCloud) -> PointCloud:
-    """Every n-th row and column of a frame's points, as many as N_DIRECTIONS need; without a grid all of them."""
-    grid = cloud.grid
-    step = 1 if grid is None else math.isqrt(grid.height * grid.width // N_PIXELS)
-    if grid is None or step <= 1:
+    """Every n-th row and column of a frame's points, as many as N_DIRECTIONS need; without a grid all of them.
+
+    Done once, however many positions and moves of an object sample the cloud.
+    """
+    step = 1 if cloud.grid is None else math.isqrt(cloud.grid.height * cloud.grid.width // N_PIXELS)
+    if cloud.grid is None or step <= 1:
         return cloud
-    number = np.arange(grid.height * grid.width).reshape(grid.height, grid.width)[::step, ::step]
-    new = np.full(grid.height * grid.width, -1)
-    new[number] = np.arange(number.size).reshape(number.shape)
+    if cloud not in _THINNED:
+        _THINNED[cloud] = _every(cloud, cloud.grid, step)
+    return _THINNED[cloud]
+
+
+_THINNED: WeakKeyDictionary[PointCloud, PointCloud] = WeakKeyDictionary()
+
+
+def _every(cloud: PointCloud, grid: PixelGrid, step: int) -> PointCloud:
+    height, width = -(-grid.height // step), -(-grid.width // step)
+
+    def kept(pixels: ArrayInt) -> tuple[ArrayBool, ArrayInt]:
+        """Which of these pixels stay, and the new numbers of those."""
+        row, column = np.divmod(pixels, grid.width)
+        stays = (row % step == 0) & (column % step == 0)
+        return stays, row[stays] // step * width + column[stays] // step
+
+    def taken(values: ArrayF32) -> ArrayF32:
+        return values.reshape(grid.height, grid.width, 3)[::step, ::step].reshape(-1, 3)
+
     far, openings = grid.far, grid.openings
     if far is not None:
-        kept = new[far.pixels] >= 0
-        far = FarPixels(new[far.pixels[kept]], far.rays[:, kept]) if kept.any() else None
+        stays, pixels = kept(far.pixels)
+        far = FarPixels(pixels, far.rays[:, stays]) if len(pixels) else None
     if openings is not None:
-        openings = new[openings][new[openings] >= 0]
-    chosen = number.ravel()
-    rest = replace(grid, height=number.shape[0], width=number.shape[1], far=far, openings=openings)
-    return PointCloud(cloud.points_m[chosen], cloud.srgb[chosen], grid=rest)
+        openings = kept(openings)[1]
+    rest = replace(grid, height=height, width=width, far=far, openings=openings)
+    return PointCloud(taken(cloud.points_m), taken(cloud.srgb), grid=rest)
 
 
 def fill_reflections(cloud: UnitSphereCloud, lattice: AnchorLattice, light: ObjectLight) -> Reflections:
