@@ -26,7 +26,7 @@ from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
 from xihenet.light import BetweenEstimates
-from xihenet.light.key_light import split_light
+from xihenet.light.key_light import certainty_of, split_light
 from xihenet.light.reflections import N_DIRECTIONS, N_NEIGHBOURS, thinned
 from xihenet.light_change import LightFollowing, follow_coarser, follow_light
 from xihenet.recording import SessionRecorder
@@ -324,13 +324,14 @@ class XiheController:
         if not estimate.is_valid:
             return estimate
         before = position.light.key if position.light else None
-        return replace(estimate, key=self._key_light(estimate.sh_radiance, position, before))
+        return replace(estimate, key=self._key_light(estimate, position, before))
 
-    def _key_light(self, sh: ArrayF64, position: _Position, previous: KeyLight | None) -> KeyLight | None:
+    def _key_light(self, light: LightEstimate, position: _Position, previous: KeyLight | None) -> KeyLight | None:
         """Where the session asks for one."""
         if not self.settings.has_key_light:
             return None
-        return split_light(sh, position.reflected, self.fine_lattice, previous).key
+        key = split_light(light.sh_radiance, position.reflected, self.fine_lattice, previous).key
+        return key and replace(key, certainty=certainty_of(key, light.expected_error))
 
     def _with_others(
         self, estimate: LightEstimate, cloud: UnitSphereCloud, context: EstimateContext, position: _Position
@@ -338,11 +339,11 @@ class XiheController:
         """With what the other estimators say, those for which the light can be known."""
         exposure = self.reference_exposure or 1.0
         said = {other.name: estimate_light(other, cloud, context, exposure) for other in self.others}
-        lights = {name: light.sh_radiance for name, light in said.items() if light.is_valid}
+        valid = {name: light for name, light in said.items() if light.is_valid}
         previous = position.light.other_keys if position.light else {}
-        found = {name: self._key_light(sh, position, previous.get(name)) for name, sh in lights.items()}
+        found = {name: self._key_light(light, position, previous.get(name)) for name, light in valid.items()}
         keys = {name: key for name, key in found.items() if key is not None}
-        return replace(estimate, others=lights, other_keys=keys)
+        return replace(estimate, others={name: light.sh_radiance for name, light in valid.items()}, other_keys=keys)
 
     def _clamped(self, sent: UnitSphereCloud, used: UnitSphereCloud) -> Counts:
         """Distances that the wire or the network takes for others."""

@@ -324,12 +324,15 @@ class KeyLight:
     irradiance : (3,) float64, on a surface that faces it, linear Rec.709, carrying the estimate's exposure
     angular_radius : radians, from its middle to its rim
     is_seen : whether the phone saw it; else it is what the estimate implies
+    certainty : 0 to 1, how large it is beside the error that the estimator expects of itself, see
+        `xihenet.light.key_light.certainty_of`; 1 where that expects none
     """
 
     direction: ArrayF64
     irradiance: ArrayF64
     angular_radius: float
     is_seen: bool
+    certainty: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,7 @@
 """The key light in Blender: a sun beside the world, nothing lit twice, nothing of it left in the file."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -40,7 +42,7 @@ from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import sh
-from xihenet.light.key_light import rest_of, sh_of_key_light
+from xihenet.light.key_light import rest_of, sh_of_key_light, sure_part
 from xihenet.panorama import solid_angles
 from xihenet.records import KeyLight, ObjectLight
 
@@ -126,6 +128,7 @@ def ran(tmp_path_factory):
 
 
 def test_a_run_says_its_key_lights_and_the_file_has_them(ran):
+    """The ball is rough: what its sun has is the sure part."""
     opened(ran / "after.blend")
     results = read_results(ran)
     assert results.settings.light == "sh+key+reflections"
@@ -135,6 +138,8 @@ def test_a_run_says_its_key_lights_and_the_file_has_them(ran):
     for name, changes in results.lights.items():
         for change in changes:
             light = light_of_change(change)
+            if change.reflections is not None:
+                light = replace(light, key=light.key and sure_part(light.key))
             assert keyed(worlds[name])[0][change.frame] == pytest.approx(rest_of(light), abs=1e-5)
             energy = 0 if light.key is None else light.key.irradiance.max() / results.settings.reference_exposure
             # No scene holds the suns yet that could play their keys.

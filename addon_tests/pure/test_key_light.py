@@ -1,12 +1,23 @@
 """The key light of an estimate: found where it is, none where there is none, and nothing is added or lost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from addon_tests.pure.sh_samples import random_directions, random_light
 from xihenet.buffers import merge
 from xihenet.colour import linear_to_srgb
-from xihenet.light.key_light import UNSEEN_RADIUS, bright_patches, mean_light, rest_of, sh_of_key_light, split_light
+from xihenet.light.key_light import (
+    UNSEEN_RADIUS,
+    bright_patches,
+    certainty_of,
+    mean_light,
+    rest_of,
+    sh_of_key_light,
+    split_light,
+    sure_part,
+)
 from xihenet.records import KeyLight, ObjectLight, UnitSphereCloud
 from xihenet.sh import basis, irradiance, rotate
 from xihenet.sphere import AnchorLattice
@@ -258,3 +269,20 @@ def test_one_light_for_several_positions_is_their_mean_and_has_the_key_light_the
     assert mean_light([ObjectLight(flat())]).key is None
     with pytest.raises(ValueError, match="at least one"):
         mean_light([])
+
+
+@pytest.mark.parametrize("expected_error", [0.02, 0.1, 0.5])
+def test_times_its_certainty_a_key_light_with_noise_is_nearest_to_itself(expected_error):
+    key = KeyLight(random_directions(1, 3)[0], np.array([1.0, 0.9, 0.7]), 0.1, True)
+    bands = sh_of_key_light(key)[1:]
+    noisy = bands + np.random.default_rng(0).normal(0, expected_error, (4000, *bands.shape))
+    certainty = certainty_of(key, expected_error)
+    errors = {times: np.square(times * certainty * noisy - bands).mean() for times in (0.9, 1, 1.1)}
+    assert min(errors, key=errors.get) == 1 and 0 < certainty < 1
+    assert certainty_of(key, None) == certainty_of(key, 0.0) == 1
+    dark = KeyLight(key.direction, np.zeros(3), 0.1, True)
+    assert certainty_of(dark, 0.1) == 0
+    of_both = mean_light([ObjectLight(np.eye(9, 3), key), ObjectLight(np.eye(9, 3), key)]).key
+    assert of_both.certainty == 1
+    for certainty, share in ((0.0, 0.0), (0.1, 0.25), (0.4, 1.0), (1.0, 1.0)):
+        assert sure_part(replace(key, certainty=certainty)).irradiance == pytest.approx(share * key.irradiance)

@@ -1,5 +1,7 @@
 """The picture that glossy things reflect: what was seen as it was seen, the estimate elsewhere, no seam between."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -141,6 +143,9 @@ def test_a_lamp_that_the_estimate_implies_is_shown_where_nothing_was_seen():
     without = fill_reflections(below, LATTICE, ObjectLight(light.sh)).radiance
     assert np.array_equal(found[~patch], without[~patch])
     assert np.all(found[~half()] == pytest.approx(0.3, abs=1e-5))
+    unsure = ObjectLight(light.sh, replace(key, certainty=0.1))
+    given = (fill_reflections(below, LATTICE, unsure).radiance[patch] * cosine[patch, None]).sum(axis=0)
+    assert given * 4 * np.pi / len(LATTICE) == pytest.approx(0.25 * key.irradiance, rel=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.3, 1.0, 2.0])

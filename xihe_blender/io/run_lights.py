@@ -26,7 +26,7 @@ def light_of_change(change: LightChange) -> ObjectLight:
     if key is None:
         return ObjectLight(sh)
     direction, irradiance = np.array(key.direction, np.float64), np.array(key.irradiance, np.float64)
-    return ObjectLight(sh, KeyLight(direction, irradiance, key.angular_radius, key.is_seen))
+    return ObjectLight(sh, KeyLight(direction, irradiance, key.angular_radius, key.is_seen, key.certainty))
 
 
 def panorama_of_change(change: LightChange, folder: Path, exposure: float) -> ArrayF64 | None:

@@ -289,6 +289,7 @@ class KeyLightResult:
     irradiance: Annotated[Rgb, "on a surface that faces it, carrying `settings.reference_exposure`"]
     angular_radius: Annotated[float, "radians, from its middle to its rim"]
     is_seen: Annotated[bool, "whether the phone saw it; else it is what the estimate implies"]
+    certainty: Annotated[float, "0 to 1, how large it is beside the error that the estimator expects of itself"] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,6 +86,7 @@ def as_key(key: KeyLight | None) -> records.KeyLightResult | None:
         irradiance=as_rgb(key.irradiance),
         angular_radius=float(key.angular_radius),
         is_seen=bool(key.is_seen),
+        certainty=float(key.certainty),
     )
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from xihenet.edge.axes import vector_in
-from xihenet.light.key_light import split_light
+from xihenet.edge.batching import Light
+from xihenet.light.key_light import certainty_of, split_light
 from xihenet.light.reflections import fill_reflections
-from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, UnitSphereCloud
+from xihenet.records import KeyLight, ObjectLight, Reflections, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
 
@@ -25,14 +26,15 @@ class Wishes:
 
 
 def extras_of(
-    sh_radiance: ArrayF64, cloud: UnitSphereCloud, before: KeyLight | None, wishes: Wishes
+    light: Light, cloud: UnitSphereCloud, before: KeyLight | None, wishes: Wishes
 ) -> tuple[KeyLight | None, Reflections | None]:
     """The key light, and reflections if they are wished for; `before` is the key light of the answer before."""
     lattice = AnchorLattice(len(cloud))
-    key = split_light(sh_radiance, cloud, lattice, before).key
+    key = split_light(light.sh_radiance, cloud, lattice, before).key
+    key = key and replace(key, certainty=certainty_of(key, light.expected_error))
     if not wishes.has_reflections:
         return key, None
-    return key, fill_reflections(cloud, lattice, ObjectLight(sh_radiance, key))
+    return key, fill_reflections(cloud, lattice, ObjectLight(light.sh_radiance, key))
 
 
 def format_extras(
@@ -49,6 +51,7 @@ def format_extras(
                 "irradiance": key.irradiance.tolist(),
                 "angular_radius": key.angular_radius,
                 "is_seen": key.is_seen,
+                "certainty": key.certainty,
             }
         )
     if reflections is not None:

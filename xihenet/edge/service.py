@@ -158,7 +158,7 @@ class EdgeService:
             "n_shared_anchors": int(np.count_nonzero(cloud.is_set & ~seen.cloud.is_set)),
         }
         if not light.unknown_because and (wishes.has_key_light or wishes.has_reflections):
-            key, reflections = await self._extra(lambda: extras_of(light.sh_radiance, cloud, seen.key, wishes))
+            key, reflections = await self._extra(lambda: extras_of(light, cloud, seen.key, wishes))
             self._remember_key(session, name, key)
             answer |= format_extras(key, reflections, sent.axes, wishes)
         return answer

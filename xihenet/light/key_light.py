@@ -56,6 +56,9 @@ MOST_OF_SEEN = 1.5
 SEEN_COUNTS, UNSEEN_COUNTS = 0.3, 0.6
 """How much what was seen of a light counts against what the estimate says, and that nothing was."""
 
+SURE_FROM = 0.4
+"""Certainty of a key light from which on metal shows all of its light. Measured in docs/reflections.md."""
+
 SEEN_IS_ENOUGH = 0.6
 """Patches that explain this share of what the estimate's own directions explain are taken for them."""
 
@@ -152,6 +155,28 @@ def sh_of_key_light(key: KeyLight | None) -> ArrayF64:
     return _of_disc(key.direction, key.angular_radius)[:, None] * key.irradiance
 
 
+def certainty_of(key: KeyLight, expected_error: float | None) -> float:
+    """0 to 1: the square of its size over that and the square of the SHC RMSE that the estimator expects; 1 for None.
+
+    Its size is the root mean square of its coefficients of bands 1 and 2. By so much is a signal with noise of that
+    size to be multiplied to be right in the mean square (Wiener's filter).
+    """
+    if expected_error is None:
+        return 1.0
+    square = float(np.square(sh_of_key_light(key)[1:]).mean())
+    return square / (square + expected_error**2) if square else 0.0
+
+
+def sure_share(key: KeyLight) -> float:
+    """0 to 1: the share of a key light that metal shows, which rises with its certainty."""
+    return min(key.certainty / SURE_FROM, 1.0)
+
+
+def sure_part(key: KeyLight) -> KeyLight:
+    """A key light with that share of its light."""
+    return replace(key, irradiance=sure_share(key) * key.irradiance)
+
+
 def rest_of(light: ObjectLight) -> ArrayF64:
     """(9, 3) radiance coefficients of what is left of a light without its key light."""
     return light.sh - sh_of_key_light(light.key)
@@ -178,7 +203,8 @@ def mean_light(lights: Sequence[ObjectLight]) -> ObjectLight:
     radius = float(np.average([key.angular_radius for key in same], weights=weights))
     irradiance = np.sum([key.irradiance for key in same], axis=0) / len(lights)
     most = np.maximum(sh[0], 0) / _of_disc(direction, radius)[0]
-    return ObjectLight(sh, KeyLight(direction, np.minimum(irradiance, most), radius, any(key.is_seen for key in same)))
+    is_seen, certainty = any(key.is_seen for key in same), np.average([key.certainty for key in same], weights=weights)
+    return ObjectLight(sh, KeyLight(direction, np.minimum(irradiance, most), radius, is_seen, float(certainty)))
 
 
 def with_positions(

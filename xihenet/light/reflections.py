@@ -8,9 +8,9 @@ bright windows spread over dark ceilings, the median no lamp at all. What border
 that there is no seam; but for lamps and windows, which would draw streaks. Measured in docs/reflections.md.
 
 A phone's picture ends at white. What is white in it is shown twice as bright, and where it is the key light of the
-estimate as bright as that, up to sixteen times: a rough metal shows a lamp by its light and not by its picture. A key
-light that the estimate implies is shown too, as far as nothing was seen there, and dimmer, since nobody knows exactly
-where it is: without the lamp that lights the room a mirror is further off.
+estimate as bright as that, up to sixteen times. A key light that the estimate implies is shown too, as far as nothing
+was seen there: without the lamp that lights the room a mirror is further off. Of both only as much is shown as the
+estimate is sure of: a lamp at the wrong place on metal is worse than none.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from xihenet.colour import srgb_to_linear
-from xihenet.light.key_light import LUMINANCE, SAME_LIGHT_COSINE, WHITE
+from xihenet.light.key_light import LUMINANCE, SAME_LIGHT_COSINE, WHITE, sure_share
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions, solid_angles
 from xihenet.records import (
@@ -57,7 +57,7 @@ WHITE_IS, MOST_BRIGHTENED = 2.0, 16.0
 in view the light of others too. Measured in docs/reflections.md."""
 
 IMPLIED_IS = 0.6
-"""Share of its light with which a key light that nobody has seen is shown."""
+"""Share of its light with which a key light that nobody has seen is shown, at most."""
 
 FINE_HEIGHT = 256
 """Of the grid of directions in which a rendered picture is looked at: 16 for each anchor."""
@@ -173,10 +173,11 @@ def _brightened(radiance: ArrayF64, cloud: UnitSphereCloud, lattice: AnchorLatti
         return gain
     cosine = lattice.directions @ key.direction
     if key.is_seen:
-        patch, share, most = is_white & (cosine > SAME_LIGHT_COSINE), 1.0, MOST_BRIGHTENED
+        patch, most, share = is_white & (cosine > SAME_LIGHT_COSINE), MOST_BRIGHTENED, sure_share(key)
     else:
         spacing = np.sqrt(4 * np.pi / len(lattice))
-        patch, share, most = ~cloud.is_set & (cosine > np.cos(max(key.angular_radius, spacing))), IMPLIED_IS, np.inf
+        patch, most = ~cloud.is_set & (cosine > np.cos(max(key.angular_radius, spacing))), np.inf
+        share = min(sure_share(key), IMPLIED_IS)
     shown = (radiance[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(lattice)
     of_key = np.divide(share * key.irradiance, shown, out=np.ones(3), where=shown > 0)
     gain[patch] = np.maximum(gain[patch], np.minimum(of_key, most))
