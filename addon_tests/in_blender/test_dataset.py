@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import replace
 
@@ -25,6 +26,7 @@ from xihe_blender.lab.rooms.statistics import light_statistics, panorama_faults,
 from xihe_blender.lab.rooms.store import load_room, room_path, save_room, stored_indices
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
 from xihe_blender.lab.rooms.views import MIN_CLEARANCE_M, N_POSITIONS, N_VIEWS
+from xihe_blender.lab.workers import one_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet.camera import project_points, unproject_frame
 from xihenet.sphere import AnchorLattice
@@ -215,6 +217,17 @@ def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path):
     assert len(list(stored_indices(tmp_path))) == there
     assert missing_rooms(tmp_path, range(30))
     assert not list(tmp_path.glob(".room_*"))
+
+
+def test_a_process_that_does_not_end_when_told_to_is_killed(monkeypatch):
+    monkeypatch.setattr(one_core, "ENDS_WITHIN_S", 0.3)
+    deaf = (
+        "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('ready', flush=True); time.sleep(99)"
+    )
+    with one_core.process_on_one_core([sys.executable, "-c", deaf], stdout=subprocess.PIPE) as (process, _):
+        assert process.stdout.readline() == b"ready\n"
+    assert process.returncode == -signal.SIGKILL
+    process.stdout.close()
 
 
 def test_only_training_rooms_are_lit_by_fewer_rays():

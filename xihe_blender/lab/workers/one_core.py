@@ -15,6 +15,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
+ENDS_WITHIN_S = 60.0
+
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -32,8 +34,17 @@ def process_on_one_core(command: Sequence[str], **streams: Any) -> Iterator[tupl
                     os.sched_setaffinity(process.pid, {core})
             yield process, errors
         finally:
-            process.terminate()
-            process.wait()
+            _end(process)
+
+
+def _end(process: subprocess.Popen[Any]) -> None:
+    """Told to end, it may finish what it does; Blender sometimes never comes to its end by itself."""
+    process.terminate()
+    try:
+        process.wait(ENDS_WITHIN_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
 def last_line(errors: IO[bytes]) -> str:
