@@ -221,9 +221,7 @@ def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path):
 
 def test_a_process_that_does_not_end_when_told_to_is_killed(monkeypatch):
     monkeypatch.setattr(one_core, "ENDS_WITHIN_S", 0.3)
-    deaf = (
-        "from signal import *; import time; signal(SIGTERM, SIG_IGN); print('ready', flush=True); time.sleep(99)"
-    )
+    deaf = "from signal import *; import time; signal(SIGTERM, SIG_IGN); print('ready', flush=True); time.sleep(99)"
     with one_core.process_on_one_core([sys.executable, "-c", deaf], stdout=subprocess.PIPE) as (process, _):
         assert process.stdout.readline() == b"ready\n"
     assert process.returncode == -signal.SIGKILL
