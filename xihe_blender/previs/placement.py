@@ -137,6 +137,8 @@ def map_places(session: KeptSession, wanted: PlacementSettings) -> Job[MappedPla
 
     UserError where there is no place.
     """
+    # A map shows irradiance alone: with the key light it takes 1.7 times as long.
+    session = replace(session, settings=replace(session.settings, light="sh"))
     places_m, spacing_m = yield from find_places(session, wanted)
     places: list[Place] = []
     lights: list[ArrayF64] = []
