@@ -26,7 +26,7 @@ from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
 from xihenet.light import BetweenEstimates
-from xihenet.light.key_light import certainty_of, split_light
+from xihenet.light.key_light import split_light
 from xihenet.light.reflections import N_DIRECTIONS, N_NEIGHBOURS, thinned
 from xihenet.light_change import LightFollowing, follow_coarser, follow_light
 from xihenet.recording import SessionRecorder
@@ -330,8 +330,8 @@ class XiheController:
         """Where the session asks for one."""
         if not self.settings.has_key_light:
             return None
-        key = split_light(light.sh_radiance, position.reflected, self.fine_lattice, previous).key
-        return key and replace(key, certainty=certainty_of(key, light.expected_error))
+        seen, lattice = position.reflected, self.fine_lattice
+        return split_light(light.sh_radiance, seen, lattice, previous, expected_error=light.expected_error).key
 
     def _with_others(
         self, estimate: LightEstimate, cloud: UnitSphereCloud, context: EstimateContext, position: _Position

@@ -9,9 +9,10 @@ from addon_tests.pure.made import frame_of
 from addon_tests.pure.sh_samples import random_directions, random_light
 from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb
-from xihenet.light.key_light import sh_of_key_light
+from xihenet.light.key_light import rest_of, sh_of_key_light
 from xihenet.light.reflections import (
     fill_reflections,
+    light_of_rough,
     reflection_panorama,
     rendered_reflections,
     thinned,
@@ -163,6 +164,18 @@ def test_a_sun_takes_as_much_light_out_of_the_picture_as_it_gives_and_none_from_
     assert taken == pytest.approx(min(share, 1) * lamp, rel=1e-4)
     assert np.array_equal(rest.radiance[cosine < 0.9], whole.radiance[cosine < 0.9]) and rest.radiance.min() >= 0
     assert rest.seen_share == 0.4 and without_key_light(whole, None) is whole
+
+
+def test_rough_things_have_the_sure_part_of_the_key_light_and_a_picture_with_the_rest_of_its_lamp():
+    direction = random_directions(1, 7)[0]
+    cosine = LATTICE.directions @ direction
+    whole = Reflections(np.where((cosine > np.cos(0.2))[:, None], [9.0, 6.0, 3.0], 0.3).astype(np.float32), 0.4)
+    key = KeyLight(direction, np.ones(3), 0.2, True, certainty=0.1)
+    rough = light_of_rough(ObjectLight(FLAT + sh_of_key_light(key), key, whole))
+    assert rough.key.irradiance == pytest.approx(np.full(3, 0.25))
+    assert rest_of(rough) == pytest.approx(FLAT + 0.75 * sh_of_key_light(key))
+    assert np.array_equal(rough.reflections.radiance, without_key_light(whole, rough.key).radiance)
+    assert light_of_rough(ObjectLight(FLAT, key)).reflections is None
 
 
 def test_the_panorama_shows_the_same_light_where_it_comes_from():

@@ -59,8 +59,8 @@ from xihe_blender.io.run_results import Metrics
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.light.key_light import rest_of, sure_part
-from xihenet.light.reflections import reflection_panorama, without_key_light
+from xihenet.light.key_light import rest_of
+from xihenet.light.reflections import light_of_rough, reflection_panorama
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
@@ -257,13 +257,12 @@ class Comparer:
         """Set world and sun of a method's object to `light`, which carries `exposure`."""
         world = self.worlds[key]
         has_sun = light.reflections is None or (key in self.suns and has_sun_for_lamp(bpy.data.objects[key[1]]))
-        if has_sun and light.key is not None and light.reflections is not None:
-            light = replace(light, key=sure_part(light.key))
         if light.reflections is None:
             forget_reflections(world)
         else:
-            reflected = without_key_light(light.reflections, light.key) if has_sun else light.reflections
-            reflect_in_world(world, reflection_panorama(reflected), exposure)
+            light = light_of_rough(light) if has_sun else light
+            assert light.reflections is not None
+            reflect_in_world(world, reflection_panorama(light.reflections), exposure)
         if key in self.suns:
             apply_sh_to_world(world, rest_of(light), exposure)
             apply_key_to_sun(self.suns[key], light.key, exposure)

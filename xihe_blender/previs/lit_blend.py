@@ -37,8 +37,8 @@ from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.results import as_coefficients, as_key
 from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.light.key_light import rest_of, sure_part
-from xihenet.light.reflections import reflection_panorama, without_key_light
+from xihenet.light.key_light import rest_of
+from xihenet.light.reflections import light_of_rough, reflection_panorama
 from xihenet.records import ObjectLight
 from xihenet.surfaces import Surface
 
@@ -65,9 +65,8 @@ def light_changes(
             reflected = None
             if light.reflections is not None:
                 path = outputs.reflections(index, item.name, len(pictures) + 1)
-                shown = light.reflections
-                if has_sun and light.key is not None:
-                    shown = without_key_light(shown, sure_part(light.key))
+                shown = light_of_rough(light).reflections if has_sun else light.reflections
+                assert shown is not None
                 pixels = shown.radiance.tobytes()
                 if pixels not in pictures:
                     write_radiance(path, as_environment(reflection_panorama(shown) / exposure))
@@ -137,11 +136,11 @@ def key_object_light(
     """Key the light of virtual object `name`, by frame, onto its world and, with `has_key_light`, onto its sun.
 
     Without it a sun of an earlier run is taken away; and so are its reflections where nothing is `reflected`. A sun
-    that is reflected has as much light as is sure, see `sure_part`; the rest is soft.
+    that is reflected has as much light as is sure, see `light_of_rough`.
     """
     forget_reflections(world)
     if reflected.pictures and not reflected.has_lamp:
-        lights = {frame: replace(one, key=one.key and sure_part(one.key)) for frame, one in lights.items()}
+        lights = {frame: light_of_rough(one) for frame, one in lights.items()}
     sh_worlds.key_light_changes(world, {frame: rest_of(light) for frame, light in lights.items()}, exposure)
     reflect_on_timeline(world, reflected.pictures)
     if has_key_light:

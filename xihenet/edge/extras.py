@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from xihenet.edge.axes import vector_in
 from xihenet.edge.batching import Light
-from xihenet.light.key_light import certainty_of, split_light
+from xihenet.light.key_light import split_light
 from xihenet.light.reflections import fill_reflections
 from xihenet.records import KeyLight, ObjectLight, Reflections, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
@@ -30,8 +30,7 @@ def extras_of(
 ) -> tuple[KeyLight | None, Reflections | None]:
     """The key light, and reflections if they are wished for; `before` is the key light of the answer before."""
     lattice = AnchorLattice(len(cloud))
-    key = split_light(light.sh_radiance, cloud, lattice, before).key
-    key = key and replace(key, certainty=certainty_of(key, light.expected_error))
+    key = split_light(light.sh_radiance, cloud, lattice, before, expected_error=light.expected_error).key
     if not wishes.has_reflections:
         return key, None
     return key, fill_reflections(cloud, lattice, ObjectLight(light.sh_radiance, key))

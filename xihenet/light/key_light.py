@@ -111,6 +111,7 @@ def split_light(
     previous: KeyLight | None = None,
     *,
     is_exposed: bool = True,
+    expected_error: float | None = None,
 ) -> LightSplit:
     """Split an estimate into its key light and the rest.
 
@@ -122,6 +123,7 @@ def split_light(
     previous : the key light of the estimate before, which stays while it is at least half as strong as the strongest;
         what was not seen counts two thirds
     is_exposed : whether the cloud carries the exposure of the coefficients; else its ratios alone count
+    expected_error : SHC RMSE that the estimator expects of itself, for the key light's certainty; None if it says none
 
     ValueError for coefficients that are not finite or not of order 2, and for a cloud without its lattice.
     """
@@ -145,6 +147,7 @@ def split_light(
     )
     if flux < LEAST_FLUX * luminance[0] * (STAYS_FROM if stays else 1):
         return LightSplit(None, coefficients, "flat")
+    key = replace(key, certainty=certainty_of(key, expected_error))
     return LightSplit(key, coefficients - sh_of_key_light(key))
 
 

@@ -23,7 +23,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from xihenet.colour import srgb_to_linear
-from xihenet.light.key_light import LUMINANCE, SAME_LIGHT_COSINE, WHITE, sure_share
+from xihenet.light.key_light import LUMINANCE, SAME_LIGHT_COSINE, WHITE, sure_part, sure_share
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions, solid_angles
 from xihenet.records import (
@@ -200,6 +200,15 @@ def without_key_light(reflections: Reflections, key: KeyLight | None) -> Reflect
     of_sun = np.divide(key.irradiance, shown, out=np.zeros(3), where=shown > 0)
     radiance[is_lamp] *= np.maximum(1 - of_sun, 0)
     return replace(reflections, radiance=radiance.astype(np.float32))
+
+
+def light_of_rough(light: ObjectLight) -> ObjectLight:
+    """The light of rough things, which reflect the sun of its key light: as much of that as is sure, and a picture
+    without its lamp. The rest of the key light is soft light."""
+    if light.key is None:
+        return light
+    key = sure_part(light.key)
+    return replace(light, key=key, reflections=light.reflections and without_key_light(light.reflections, key))
 
 
 def reflection_panorama(reflections: Reflections, height: int = 128) -> ArrayF32:

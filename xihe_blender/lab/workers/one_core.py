@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 ENDS_WITHIN_S = 60.0
+"""Of a process that was told to end: enough for the room that it is making."""
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
