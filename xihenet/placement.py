@@ -90,18 +90,29 @@ def _looks_up(across: ArrayF64, upwards: ArrayF64) -> ArrayBool:
     return looks_up
 
 
-def air_places(frames: Sequence[RgbdFrame], height_m: float, spacing_m: float, reach_m: float = REACH_M) -> ArrayF64:
+def seen_extent(frames: Sequence[RgbdFrame]) -> ArrayF64:
+    """(2, 2) world, metres: between which x and y the frames show surfaces, but for one point in a hundred at each end.
+
+    Empty, the low above the high, where they show none.
+    """
+    seen = [unproject_frame(frame).points_m[:, :2] for frame in frames]
+    points = np.concatenate([np.zeros((0, 2), np.float32), *(one[np.isfinite(one).all(axis=1)] for one in seen)])
+    extent: ArrayF64 = np.percentile(points, (1, 99), axis=0) if len(points) else np.array([[1.0, 1.0], [0.0, 0.0]])
+    return extent
+
+
+def air_places(
+    frames: Sequence[RgbdFrame], height_m: float, spacing_m: float, reach_m: float = REACH_M,
+    extent_m: ArrayF64 | None = None,
+) -> ArrayF64:  # fmt: skip
     """(K, 3) world, metres: a grid at z = `height_m` where a frame looks through free air within `reach_m`.
 
-    In order of y, then x. Empty is legal. ValueError for a spacing that is not positive.
+    In order of y, then x, within `extent_m`, that of the frames if it is None. Empty is legal. ValueError for a spacing
+    that is not positive.
     """
     if not spacing_m > 0:
         raise ValueError(f"air_places: expected a positive spacing, got {spacing_m}")
-    seen = [unproject_frame(frame).points_m.astype(np.float64) for frame in frames]
-    points = np.concatenate([one[np.isfinite(one).all(axis=1)] for one in seen]) if seen else np.zeros((0, 3))
-    if not len(points):
-        return np.zeros((0, 3))
-    low, high = np.percentile(points[:, :2], (1, 99), axis=0)
+    low, high = seen_extent(frames) if extent_m is None else extent_m
     x, y = (np.arange(a + spacing_m / 2, b, spacing_m) for a, b in zip(low, high, strict=True))
     grid = np.stack([*(part.ravel() for part in np.meshgrid(x, y)), np.full(len(x) * len(y), height_m)], axis=1)
     is_free = np.zeros(len(grid), bool)

@@ -17,7 +17,6 @@ import numpy as np
 
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
@@ -25,6 +24,7 @@ from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.metrics import shc_rmse
+from xihenet.phone_session import PhoneSession
 from xihenet.recording import load_frame
 
 WAYS = {
@@ -57,7 +57,7 @@ def main() -> None:
         scene, out = scene_with_a_ball(name), Path(sys.argv[1]) / name
         results, errors = run_blocking(previs(scene, out, SETTINGS)), []
         exposure, plan = results["settings"]["reference_exposure"], plan_previs(scene, SETTINGS)
-        left_behind = PhoneSession(plan, SETTINGS, exposure, load_estimators(SETTINGS)[0], None)
+        left_behind = PhoneSession(plan.probes, SETTINGS.chain(exposure), load_estimators(SETTINGS)[0], None, seed=0)
         for entry in (entry for entry in results["frames"] if entry["active"]):
             seen, (probe,) = load_frame(RunOutputs(out).capture(entry["frame"])), entry["probes"]
             left_behind.step(seen, {}, left_behind.controller.active(seen.intrinsics, seen.world_from_camera))

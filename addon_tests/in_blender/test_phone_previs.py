@@ -13,7 +13,6 @@ from tiny_scenes import room_with_a_virtual_sphere
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.previs.phone_capture import choose_phone, simulate_phone
-from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import load_estimators
 from xihe_blender.previs.survey import survey_path
@@ -22,6 +21,7 @@ from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import EstimateContext
 from xihenet.phone import EFFECTS, LINKS
+from xihenet.phone_session import PhoneSession
 from xihenet.recording import load_frame
 from xihenet.records import UnitSphereCloud
 
@@ -198,7 +198,7 @@ def test_estimates_that_are_lost_never_light_anything(perfect):
     plan = plan_previs(walk(), SMALL)
     exposure = perfect.results["settings"]["reference_exposure"]
     link = replace(LINKS["wifi"], loss=1.0)
-    session = PhoneSession(plan, SMALL, exposure, load_estimators(SMALL)[0], link)
+    session = PhoneSession(plan.probes, SMALL.chain(exposure), load_estimators(SMALL)[0], link, seed=0)
     for entry in perfect.results["frames"]:
         if not entry["active"]:
             continue

@@ -45,10 +45,10 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.better_camera import remove_better_camera
-from xihe_blender.previs.kept_session import FoundLight
 from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene, reflected_of
 from xihe_blender.previs.results import last_surfaces
 from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.kept_walk import FoundLight
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
 from xihenet.records import ArrayF64, ObjectLight

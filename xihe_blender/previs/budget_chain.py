@@ -13,7 +13,6 @@ import numpy as np
 
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.previs.phone_capture import SimulatedPhone
-from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihenet.buffers import PositionBuffers, merge
@@ -21,6 +20,7 @@ from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.phone import Link
+from xihenet.phone_session import PhoneSession
 from xihenet.recording import load_frame
 from xihenet.records import ArrayF32, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_again, sample_unit_sphere
@@ -75,8 +75,8 @@ def lights_in_force(
     run: PreparedRun, probe: Probe, parts: SessionParts, moments: Sequence[int]
 ) -> dict[int, LightInForce]:
     """The light in force at `probe` after each of the frames `moments`."""
-    plan, settings = replace(run.plan, probes=(probe,)), replace(run.settings, trigger=parts.trigger)
-    session, lights = PhoneSession(plan, settings, run.exposure, parts.estimator, parts.link), {}
+    chain = replace(run.settings.chain(run.exposure), trigger=parts.trigger)
+    session, lights = PhoneSession([probe], chain, parts.estimator, parts.link, seed=run.settings.seed), {}
     for one in parts.sights:
         frame, time_s = one.seen.frame, one.seen.time_s
         session.controller.move_position(probe.name, probe.at(frame))

@@ -89,5 +89,5 @@ def capture_path(
     manifest.take()
     run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
     yield from walk_path(run, keeps_session=True)
-    session = yield from kept_session(outputs, run.settings, plan.size, run.exposure, sorted(run.needs.captured))
+    session = yield from kept_session(outputs, run.settings, run.exposure, sorted(run.needs.captured))
     return CapturedPath(run, session)

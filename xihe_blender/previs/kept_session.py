@@ -1,63 +1,33 @@
 """The session of a run, kept: what its phone saw, from which light at any other place follows without a render.
 
-The captures of a run hide the virtual objects and do not depend on them. So the chain of the run is run again on its
-kept frames, with the same settings, for other positions: light, coverage and expected error there are those that a
-whole run would have found, in its frames and at its exposure. What needs a render is not here: reference light and
-ground truth.
+The captures of a run hide the virtual objects and do not depend on them, see `xihenet.kept_walk`. What needs a render
+is not here: reference light and ground truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import contextlib
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-
-import numpy as np
+from typing import TypeVar
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.phone_session import PhoneSession
-from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
-from xihenet.camera import in_view, unproject_frame
-from xihenet.estimators import Estimator
+from xihenet.camera import unproject_frame
+from xihenet.kept_walk import FoundLight, KeptWalk, SeenFrame
 from xihenet.light_change import LightFollowing
+from xihenet.other_cores import find_light_on_all_cores
 from xihenet.recording import SessionFacts, load_frame
-from xihenet.records import ArrayF64, Intrinsics, ObjectLight, PointCloud, RgbdFrame
+from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
 
-
-@dataclass(frozen=True, eq=False)
-class SeenFrame:
-    """One frame as the phone saw it, its points, and the camera as it truly was: intrinsics and (4, 4) pose."""
-
-    seen: RgbdFrame
-    points: PointCloud
-    camera: tuple[Intrinsics, ArrayF64]
-
-
-@dataclass(eq=False)
-class FoundLight:
-    """What a session comes to know of one position, by frame.
-
-    `lights` are those in force, carrying the session's exposure: until the first estimate the ambient one.
-    `coverage` is the share of the anchors that are known, `expected_error` SHC RMSE, None for an estimator that expects
-    none or before there is an estimate. `was_in_view` says whether the position ever was.
-    """
-
-    lights: dict[int, ObjectLight] = field(default_factory=dict)
-    coverage: dict[int, float] = field(default_factory=dict)
-    expected_error: dict[int, float | None] = field(default_factory=dict)
-    was_in_view: bool = False
-
-    @property
-    def sh(self) -> dict[int, ArrayF64]:
-        """(9, 3) coefficients of all of the light."""
-        return {frame: light.sh for frame, light in self.lights.items()}
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,36 +35,38 @@ class KeptSession:
     """All that the chain of a run needs to be run again; made by `open_kept_session`."""
 
     settings: PrevisSettings
-    size: tuple[int, int]
     exposure: float
     frames: tuple[SeenFrame, ...]
 
     @cached_property
-    def _estimator(self) -> Estimator:
-        return load_estimators(self.settings)[0]
+    def _walk(self) -> KeptWalk:
+        chain, (estimator, *_) = self.settings.chain(self.exposure), load_estimators(self.settings)
+        return KeptWalk(self.frames, chain, estimator, self.settings.link, self.settings.seed)
 
     def find_light(self, places_m: Mapping[str, ArrayF64]) -> Job[dict[str, FoundLight]]:
         """A job, a step per frame: the light at positions ((3,) world, metres) that stay where they are, by name.
 
         Nothing is rendered. The same as a run's, to the last bit.
         """
-        probes = tuple(Probe(name, name, np.asarray(place, np.float64)) for name, place in places_m.items())
-        numbers = tuple(one.seen.frame for one in self.frames)
-        plan = PrevisPlan(numbers, self.size, (), probes)
-        session = PhoneSession(plan, self.settings, self.exposure, self._estimator, self.settings.link)
-        found, positions_m = {name: FoundLight() for name in places_m}, np.array(list(places_m.values())).reshape(-1, 3)
-        for done, one in enumerate(self.frames):
-            yield Progress(done, len(self.frames), f"estimating the light from frame {one.seen.frame}")
-            are_seen = in_view(positions_m, *one.camera)
-            active = [name for name, is_seen in zip(places_m, are_seen, strict=True) if is_seen]
-            session.step(one.seen, {}, active, one.points)
-            for name, light in found.items():
-                frame, time_s = one.seen.frame, one.seen.time_s
-                light.lights[frame] = session.object_light([name], time_s)
-                light.coverage[frame] = session.controller.coverage(name)
-                light.expected_error[frame] = session.expected_error(name, time_s)
-                light.was_in_view |= name in active
-        return found
+        said = [f"estimating the light from frame {one.seen.frame}" for one in self.frames]
+        return (yield from _shown(self._walk.find_light(places_m), len(said), said.__getitem__))
+
+    def find_light_on_all_cores(self, places_m: Mapping[str, ArrayF64]) -> Job[dict[str, FoundLight]]:
+        """A job: as `find_light`, for many positions, with the other cores of this machine."""
+        steps, n = find_light_on_all_cores(self._walk, places_m), len(places_m)
+        return (yield from _shown(steps, n, lambda done: f"estimating the light at place {min(done + 1, n)} of {n}"))
+
+
+def _shown(steps: Generator[int, None, Result], total: int, doing: Callable[[int], str]) -> Job[Result]:
+    """A job of `steps`, each of which says how many of `total` units are done."""
+    with contextlib.closing(steps):
+        while True:
+            try:
+                done = next(steps)
+            except StopIteration as finished:
+                result: Result = finished.value
+                return result
+            yield Progress(done, total, doing(done))
 
 
 def open_kept_session(folder: Path) -> Job[KeptSession]:
@@ -107,15 +79,11 @@ def open_kept_session(folder: Path) -> Job[KeptSession]:
     if not captured:
         raise UserError(f"the run in {folder} captured nothing: run again")
     of_run = results.settings
-    return (
-        yield from kept_session(
-            RunOutputs(folder), _settings_of(results), of_run.size, of_run.reference_exposure, captured
-        )
-    )
+    return (yield from kept_session(RunOutputs(folder), _settings_of(results), of_run.reference_exposure, captured))
 
 
 def kept_session(
-    outputs: RunOutputs, settings: PrevisSettings, size: tuple[int, int], exposure: float, captured: Sequence[int]
+    outputs: RunOutputs, settings: PrevisSettings, exposure: float, captured: Sequence[int]
 ) -> Job[KeptSession]:
     """A job, a step per frame: the session of a run whose frames `captured` are in `outputs`; errors as above.
 
@@ -129,7 +97,7 @@ def kept_session(
     for done, frame in enumerate(captured):
         yield Progress(done, len(captured), f"reading frame {frame}")
         frames.append(_seen_frame(outputs, frame, exposure))
-    return KeptSession(settings, size, exposure, tuple(frames))
+    return KeptSession(settings, exposure, tuple(frames))
 
 
 def kept_facts(run: PreparedRun) -> SessionFacts:

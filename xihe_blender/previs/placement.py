@@ -22,15 +22,16 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified, best_first
-from xihe_blender.jobs import Job, Progress, part_of
+from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.captured_path import capture_path, said_of_path
-from xihe_blender.previs.kept_session import FoundLight, KeptSession
+from xihe_blender.previs.kept_session import KeptSession
 from xihe_blender.previs.placement_pictures import write_pictures
 from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.report.placement import write_placement_report
 from xihe_blender.scene.state import scene_kept
+from xihenet.kept_walk import FoundLight
 from xihenet.metrics import shc_rmse
 from xihenet.placement import (
     REACH_M,
@@ -38,13 +39,13 @@ from xihenet.placement import (
     places_among,
     rank_correlation,
     rank_correlation_interval,
+    seen_extent,
     upward_points,
 )
 from xihenet.records import ArrayF64
 from xihenet.sh import irradiance
 
 FINEST_M, GROWTH, N_SPACINGS = 0.05, 1.15, 40
-PLACES_AT_ONCE = 20
 UP = np.array([[0.0, 0.0, 1.0]])
 
 
@@ -142,12 +143,10 @@ def map_places(session: KeptSession, wanted: PlacementSettings) -> Job[MappedPla
     places_m, spacing_m = yield from find_places(session, wanted)
     places: list[Place] = []
     lights: list[ArrayF64] = []
-    for start in range(0, len(places_m), PLACES_AT_ONCE):
-        part = {str(start + k): place for k, place in enumerate(places_m[start : start + PLACES_AT_ONCE])}
-        found = yield from part_of(len(places_m), start, len(part), session.find_light(part))
-        for name, light in found.items():
-            lights.append(light.sh[next(reversed(light.sh))])
-            places.append(_place(part[name], light, session.exposure))
+    found = yield from session.find_light_on_all_cores({str(k): place for k, place in enumerate(places_m)})
+    for place, light in zip(places_m, found.values(), strict=True):
+        lights.append(light.sh[next(reversed(light.sh))])
+        places.append(_place(place, light, session.exposure))
     return MappedPlaces(tuple(places), tuple(lights), spacing_m)
 
 
@@ -156,7 +155,8 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
     yield Progress(0, 1, "looking for places")
     frames = [one.seen for one in session.frames]
     if wanted.height_m is not None:
-        find = functools.partial(air_places, frames, wanted.height_m, reach_m=wanted.reach_m)
+        of_frames = {"reach_m": wanted.reach_m, "extent_m": seen_extent(frames)}
+        find = functools.partial(air_places, frames, wanted.height_m, **of_frames)
         what = f"the air at {wanted.height_m:g} m"
     else:
         find, what = functools.partial(places_among, upward_points(frames, wanted.reach_m)), "an upward surface"

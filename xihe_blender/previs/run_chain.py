@@ -4,7 +4,7 @@
 
 Each frame that the phone takes in goes through the controller; where an estimation position is in view, light probes
 are rendered and estimates made. The frames of a phone that is not perfect are derived from the captures of the whole
-path, and estimates come back over its network; see `phone_capture`, `phone_session`.
+path, and estimates come back over its network; see `phone_capture`, `xihenet.phone_session`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from xihe_blender.jobs import Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path, true_reflections, true_view
 from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
-from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.report.values import mean
@@ -34,6 +33,7 @@ from xihenet.invalid import CLAMPED
 from xihenet.light.key_light import mean_light, split_light, with_positions
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import NETWORK, Link, Request
+from xihenet.phone_session import PhoneSession
 from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, RgbdFrame, StepReport
 
@@ -93,8 +93,9 @@ class _Walk:
         self, run: PreparedRun, phone: SimulatedPhone, captured_s: dict[int, float], *, keeps_session: bool
     ) -> None:
         self.run, self.phone, self.captured_s, self.keeps_session = run, phone, captured_s, keeps_session
+        chain, seed = run.settings.chain(run.exposure), run.settings.seed
         self.session = PhoneSession(
-            run.plan, run.settings, run.exposure, run.estimator, phone.link_in_use, run.estimators[1:]
+            run.plan.probes, chain, run.estimator, phone.link_in_use, seed=seed, others=run.estimators[1:]
         )
         self.walked = WalkedPath(phone)
         self.references: dict[str, MeasuredLight] = {}
@@ -288,7 +289,8 @@ def _mean_error(
 ) -> float | None:
     """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
     phone = replace(phone, of_camera=effects - {NETWORK})
-    session = PhoneSession(run.plan, replace(run.settings, light="sh"), run.exposure, run.estimator, link)
+    chain = replace(run.settings, light="sh").chain(run.exposure)
+    session = PhoneSession(run.plan.probes, chain, run.estimator, link, seed=run.settings.seed)
     errors = []
     for entry in captured:
         seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)

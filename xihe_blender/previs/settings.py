@@ -20,6 +20,7 @@ from xihe_blender.capture.scanner import METERING_SAMPLES
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
+from xihenet.controller import ControllerSettings
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator, Target
 from xihenet.light import BetweenEstimates, LightChoice
@@ -207,6 +208,18 @@ class PrevisSettings:
     def noise_aim(self) -> float:
         """The noise target in force: the user's or the preset's."""
         return self.preset_values.noise_target if self.noise_target is None else self.noise_target
+
+    def chain(self, exposure: float) -> ControllerSettings:
+        """Of a session whose anchors and estimates carry `exposure`."""
+        return ControllerSettings(
+            self.trigger,
+            reference_exposure=exposure,
+            following=self.following,
+            learns_out_of_view=self.captured == "path",
+            has_key_light=self.has_key_light,
+            has_reflections=self.has_reflections,
+            between_estimates=self.between_estimates,
+        )
 
     def capture(self, size: tuple[int, int], samples: int) -> RenderSettings:
         return RenderSettings(size, samples, self.seed)

@@ -46,7 +46,6 @@ from xihe_blender.lab.batch.results import (
 )
 from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths, surfaces_known
 from xihe_blender.previs.path_renders import render_path
-from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
 from xihe_blender.previs.run_chain import Lights, WalkedPath, walk_path
@@ -55,6 +54,7 @@ from xihe_blender.report.values import mean
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet.metrics import shc_rmse
+from xihenet.phone_session import PhoneSession
 from xihenet.recording import load_frame
 from xihenet.records import ObjectLight
 
@@ -247,8 +247,9 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
         return []
     own, link = run.settings.trigger, walked.phone.link_in_use
     triggers = [replace(own, theta=f * own.theta, coverage_theta=min(1.0, f * own.coverage_theta)) for f in FACTORS]
-    settings = [replace(run.settings, trigger=trigger, light="sh") for trigger in triggers]
-    sessions = [PhoneSession(run.plan, one, run.exposure, run.estimator, link) for one in settings]
+    chain, seed = replace(run.settings, light="sh").chain(run.exposure), run.settings.seed
+    chains = [replace(chain, trigger=trigger) for trigger in triggers]
+    sessions = [PhoneSession(run.plan.probes, one, run.estimator, link, seed=seed) for one in chains]
     errors: list[list[float]] = [[] for _ in FACTORS]
     n_fired = [0] * len(FACTORS)
     for entry in [entry for entry in walked.frames if entry.captured]:

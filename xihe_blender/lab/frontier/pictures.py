@@ -32,12 +32,12 @@ from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, Ren
 from xihe_blender.lab.frontier.rendering import RenderStudy, kept_or_done, rendered, use_threads
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.compare_path import MOST_SEEN
-from xihe_blender.previs.phone_session import PhoneSession
 from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
 from xihenet import estimators
 from xihenet.light import LightParts
 from xihenet.metrics import image_rmse
+from xihenet.phone_session import PhoneSession
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame
 
 METHODS = tuple(ComputeChoice(estimator=name) for name in ("lattice", "projection", "ambient"))
@@ -157,7 +157,7 @@ class Session:
         )
         self.plan, walk = study.plan, study.walk
         of_choice = estimators.load(estimator, settings.n_anchors, settings.target)
-        self.chain = PhoneSession(study.plan, settings, walk.exposure, of_choice, None)
+        self.chain = PhoneSession(study.plan.probes, settings.chain(walk.exposure), of_choice, None, seed=settings.seed)
         self.seen: list[RgbdFrame] = []
         for captured, active in zip(walk.frames, walk.active, strict=True):
             if captured.frame < frame:

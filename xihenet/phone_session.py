@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
-from xihe_blender.previs.plan import PrevisPlan
-from xihe_blender.previs.settings import PrevisSettings
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.carried_light import BLEND_S, CarriedLight, blended
@@ -24,37 +23,41 @@ from xihenet.phone import EstimatesUnderWay, Link, Request
 from xihenet.records import ArrayF64, ObjectLight, PointCloud, Reflections, RgbdFrame, StepReport, UnitSphereCloud
 
 
+class Position(Protocol):
+    """An estimation position: its name, where it is at first, and where in a frame, (3,) world, metres."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def position_m(self) -> ArrayF64: ...
+    def at(self, frame: int) -> ArrayF64: ...
+
+
 class PhoneSession:
     """State of one session: the controller, and the estimates under way.
 
-    Anchors and estimates carry the session's `exposure`. Estimates are asked for over `link`; None lets them arrive in
-    their own frame.
+    Anchors and estimates carry the `reference_exposure` of `chain`, which says too whether light is carried between
+    estimates. These are asked for over `link`, whose delays `seed` draws; None lets them arrive in their own frame.
     """
 
     def __init__(
-        self, plan: PrevisPlan, settings: PrevisSettings, exposure: float, estimator: Estimator, link: Link | None,
-        others: Sequence[Estimator] = (),
+        self, positions: Sequence[Position], chain: ControllerSettings, estimator: Estimator, link: Link | None,
+        *, seed: int, others: Sequence[Estimator] = (),
     ) -> None:  # fmt: skip
-        chain = ControllerSettings(
-            settings.trigger,
-            reference_exposure=exposure,
-            following=settings.following,
-            learns_out_of_view=settings.captured == "path",
-            has_key_light=settings.has_key_light,
-            has_reflections=settings.has_reflections,
-        )
-        self.controller = XiheController(LocalBackend(estimator), chain, others=[LocalBackend(one) for one in others])
-        self.probes = {probe.name: probe for probe in plan.probes}
-        for probe in plan.probes:
-            self.controller.add_position(probe.name, probe.position_m)
-        self.exposure = exposure
-        self.under_way = EstimatesUnderWay(link, settings.seed)
-        self.ambient = estimators.load("ambient", settings.n_anchors, settings.target)
-        self.unseen = UnitSphereCloud.empty(settings.n_anchors)
+        # The controller carries no light on: what is in force is decided here, behind the delay.
+        kept = replace(chain, between_estimates="kept")
+        self.controller = XiheController(LocalBackend(estimator), kept, others=[LocalBackend(one) for one in others])
+        self.positions = {position.name: position for position in positions}
+        for position in positions:
+            self.controller.add_position(position.name, position.position_m)
+        self.exposure = chain.reference_exposure
+        self.under_way = EstimatesUnderWay(link, seed)
+        self.ambient = estimators.load("ambient", estimator.n_anchors, estimator.target)
+        self.unseen = UnitSphereCloud.empty(estimator.n_anchors)
         self.ambient_sh = np.zeros((9, 3))
         """Of the last frame."""
-        self.is_carried = settings.between_estimates == "carried"
-        self._carried: dict[str, dict[int, CarriedLight]] = {probe.name: {} for probe in plan.probes}
+        self.is_carried = chain.between_estimates == "carried"
+        self._carried: dict[str, dict[int, CarriedLight]] = {name: {} for name in self.positions}
         """By position and frame of the estimate, of those in force or still under way; empty where light is kept."""
         self._seen: dict[str, UnitSphereCloud] = {}
         """What the lights of a position have been carried on to."""
@@ -70,9 +73,9 @@ class PhoneSession:
         `active` the positions in view of the true camera, whatever pose the phone believes in, `points` the frame's at
         the session's exposure, where they are known already.
         """
-        for name, probe in self.probes.items():
+        for name, position in self.positions.items():
             if name in active or self.controller.settings.learns_out_of_view:
-                self._move(name, probe.at(seen.frame))
+                self._move(name, position.at(seen.frame))
         reports = self.controller.step(seen, truth, active=active, points=points)
         self._carry(seen.time_s)
         requests = {}

@@ -1,0 +1,104 @@
+"""Light at many places of a kept walk, on all cores: as one place after the other, whatever becomes of the helpers."""
+
+import pickle
+import sys
+import threading
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of
+from xihenet import estimators, other_cores
+from xihenet.camera import unproject_frame
+from xihenet.controller import ControllerSettings
+from xihenet.kept_walk import KeptWalk, SeenFrame
+from xihenet.other_cores import AT_ONCE, find_light_on_all_cores, helper
+from xihenet.records import Intrinsics
+
+CAMERA = Intrinsics(48, 36, 30.0, 30.0, 24.0, 18.0)
+N_BATCHES = 3
+
+
+def seen(frame):
+    pose, colour = pose_of(about_z(0.7 * frame) @ UPRIGHT), np.full((36, 48, 3), 60 * (frame + 1), np.uint8)
+    one = frame_of(np.full((36, 48), 3.0), CAMERA, pose, colour, time_s=frame / 30, frame=frame, ambient=[0.5] * 3)
+    return SeenFrame(one, unproject_frame(one, reference_exposure=1.0), (CAMERA, pose))
+
+
+@pytest.fixture
+def walk():
+    chain = ControllerSettings(reference_exposure=1.0, learns_out_of_view=True, between_estimates="carried")
+    return KeptWalk(tuple(map(seen, range(3))), chain, estimators.load("lattice", 320))
+
+
+@pytest.fixture
+def places():
+    rng = np.random.default_rng(0)
+    return {str(k): rng.uniform(-2, 2, 3) for k in range(AT_ONCE * N_BATCHES - 2)}
+
+
+def finished(steps):
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value
+
+
+def assert_same(found, expected):
+    assert list(found) == list(expected)
+    for name, light in found.items():
+        alone = expected[name]
+        assert (light.coverage, light.expected_error) == (alone.coverage, alone.expected_error)
+        assert light.was_in_view == alone.was_in_view
+        for frame, sh in light.sh.items():
+            np.testing.assert_array_equal(sh, alone.sh[frame])
+
+
+@pytest.fixture
+def one_after_the_other(walk, places):
+    return finished(walk.find_light(places))
+
+
+def test_a_helper_alone_finds_the_same_light_to_the_last_bit(walk, places, one_after_the_other):
+    names, found = list(places), {}
+    batches = deque(names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE))
+    with helper(pickle.dumps(walk), places, batches, found) as thread:
+        thread.join(60)
+    assert not thread.is_alive()
+    assert_same({name: found[name] for name in names}, one_after_the_other)
+
+
+@pytest.mark.parametrize("n_helpers", [0, 2])
+def test_with_helpers_nothing_changes(walk, places, one_after_the_other, n_helpers):
+    assert_same(finished(find_light_on_all_cores(walk, places, n_helpers)), one_after_the_other)
+
+
+@pytest.mark.parametrize("interpreter", ["/nowhere/python", sys.executable])
+def test_helpers_that_cannot_work_leave_it_to_this_process(walk, places, one_after_the_other, interpreter, monkeypatch):
+    monkeypatch.setattr(sys, "executable", interpreter)
+    # Without a PYTHONPATH that leads to this package a helper starts, and ends at once.
+    monkeypatch.setattr(other_cores, "_environment", lambda: {"PYTHONPATH": "/nowhere"})
+    assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
+
+
+def test_an_estimator_that_cannot_be_sent_is_asked_here(walk, places, one_after_the_other):
+    walk.estimator.held = threading.Lock()
+    assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
+
+
+def test_what_is_closed_leaves_no_helper(walk, places):
+    steps = find_light_on_all_cores(walk, places, 2)
+    next(steps)
+    assert threading.active_count() > 1
+    steps.close()
+    assert threading.active_count() == 1
+
+
+def test_few_places_start_no_process_and_none_is_no_light(walk, places, monkeypatch):
+    monkeypatch.setattr(other_cores, "helper", None)
+    few = dict(list(places.items())[:2])
+    assert_same(finished(find_light_on_all_cores(walk, few)), finished(walk.find_light(few)))
+    assert finished(find_light_on_all_cores(replace(walk, frames=()), {})) == {}

@@ -1,0 +1,175 @@
+"""The light at many places of a kept walk, found on all cores: this process and helpers share one list of places.
+
+Helpers are plain interpreters that run this module: they get the walk and then one batch of places after the other
+through a pipe, and know no Blender. Threads were rejected, since the chain is many short NumPy calls that wait for one
+another. Nothing depends on a helper: one that cannot start, or ends, leaves its batch to the others.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from xihenet.kept_walk import FoundLight, KeptWalk
+from xihenet.records import ArrayF64
+
+AT_ONCE = 5
+"""Places of a batch: half a second of work or so, which is how long cores may wait for the last one."""
+
+MOST_HELPERS = 3
+"""Each keeps a copy of the walk, some 3 MB for each of its frames."""
+
+WORTH_IT = 40
+"""Places; a helper takes about a second to start."""
+
+_WAIT_S = 0.02
+_NO_WINDOW: dict[str, Any] = {"creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0)}
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+Places = Mapping[str, ArrayF64]
+
+
+def find_light_on_all_cores(
+    walk: KeptWalk, places_m: Places, n_helpers: int | None = None
+) -> Generator[int, None, dict[str, FoundLight]]:
+    """As `KeptWalk.find_light`, in the order of `places_m`; each step says how many places are done.
+
+    `n_helpers` are processes beside this one; None takes one for each other core, and none for few places. They have
+    ended when the generator has, or is closed.
+    """
+    if n_helpers is None:
+        n_helpers = min(MOST_HELPERS, n_cores() - 1) if len(places_m) >= WORTH_IT else 0
+    names, found = list(places_m), dict[str, FoundLight]()
+    batches = deque(names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE))
+    packed = _packed(walk) if n_helpers else None
+    with contextlib.ExitStack() as stack:
+        helpers = [
+            stack.enter_context(helper(packed, places_m, batches, found))
+            for _ in range(n_helpers)
+            if packed is not None
+        ]
+        while True:
+            # In this order: a helper puts its batch back before it ends.
+            is_helped = any(helper.is_alive() for helper in helpers)
+            try:
+                batch = batches.popleft()
+            except IndexError:
+                if not is_helped:
+                    return {name: found[name] for name in names}
+                yield len(found)
+                time.sleep(_WAIT_S)
+                continue
+            steps = walk.find_light({name: places_m[name] for name in batch})
+            while True:
+                try:
+                    next(steps)
+                except StopIteration as finished:
+                    found.update(finished.value)
+                    break
+                yield len(found)
+
+
+def n_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _packed(walk: KeptWalk) -> bytes | None:
+    """None for a walk whose estimator cannot be sent, such as one that runs elsewhere."""
+    try:
+        return pickle.dumps(walk, pickle.HIGHEST_PROTOCOL)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return None
+
+
+@contextlib.contextmanager
+def helper(
+    packed: bytes, places_m: Places, batches: deque[list[str]], found: dict[str, FoundLight]
+) -> Iterator[threading.Thread]:
+    """The thread that keeps a helper busy until there are no `batches`; both have ended when the block has.
+
+    `packed` is the pickled walk; lights are put into `found`, and a batch that failed is put back.
+    """
+    quiet, piped = subprocess.DEVNULL, subprocess.PIPE
+    command = [sys.executable, "-P", "-m", "xihenet.other_cores"]
+    try:
+        process = subprocess.Popen(command, stdin=piped, stdout=piped, stderr=quiet, env=_environment(), **_NO_WINDOW)
+    except OSError:
+        yield threading.Thread()
+        return
+    assert process.stdin is not None and process.stdout is not None
+    to_helper, from_helper = process.stdin, process.stdout
+
+    def keep_busy() -> None:
+        batch: list[str] = []
+        try:
+            to_helper.write(packed)
+            to_helper.flush()
+            pickle.load(from_helper)  # That it is ready.
+            while True:
+                batch = batches.popleft()
+                pickle.dump({name: places_m[name] for name in batch}, to_helper)
+                to_helper.flush()
+                found.update(pickle.load(from_helper))
+        except IndexError:  # There are no more.
+            return
+        except (OSError, EOFError, ValueError, pickle.UnpicklingError):
+            if batch:
+                batches.append(batch)
+
+    thread = threading.Thread(target=keep_busy, daemon=True)
+    thread.start()
+    try:
+        yield thread
+    finally:
+        process.kill()
+        process.wait()
+        thread.join()
+        for pipe in (to_helper, from_helper):
+            with contextlib.suppress(OSError):
+                pipe.close()
+
+
+def _environment() -> dict[str, str]:
+    """This process' environment, so that a helper finds the packages that this one has, and takes one core."""
+    paths = [str(Path(__file__).resolve().parents[1]), str(Path(np.__file__).resolve().parents[1])]
+    known = [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([*paths, *known]), **_ONE_THREAD}
+
+
+def _serve() -> None:
+    """Be a helper: a walk and then places come in, lights go out, until the pipe ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; whoever started this one ends it.
+    places_in, lights_out = sys.stdin.buffer, sys.stdout.buffer
+    walk: KeptWalk = pickle.load(places_in)
+    pickle.dump(True, lights_out)
+    lights_out.flush()
+    while True:
+        try:
+            places_m = pickle.load(places_in)
+        except EOFError:
+            return
+        steps = walk.find_light(places_m)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as finished:
+                pickle.dump(finished.value, lights_out, pickle.HIGHEST_PROTOCOL)
+                lights_out.flush()
+                break
+
+
+if __name__ == "__main__":
+    _serve()
