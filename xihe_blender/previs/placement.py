@@ -155,8 +155,8 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
     yield Progress(0, 1, "looking for places")
     frames = [one.seen for one in session.frames]
     if wanted.height_m is not None:
-        of_frames = {"reach_m": wanted.reach_m, "extent_m": seen_extent(frames)}
-        find = functools.partial(air_places, frames, wanted.height_m, **of_frames)
+        extent_m = seen_extent(frames)
+        find = functools.partial(air_places, frames, wanted.height_m, reach_m=wanted.reach_m, extent_m=extent_m)
         what = f"the air at {wanted.height_m:g} m"
     else:
         find, what = functools.partial(places_among, upward_points(frames, wanted.reach_m)), "an upward surface"
