@@ -13,11 +13,11 @@ def small_build(n_rooms, seed=5, **settings):
     return BuildSettings(n_rooms, seed, 1, SMALL.numbers, **settings)
 
 
-def places_of(index):
+def places_of(index, **how):
     """A room of seed 11 without pictures: the room, its rays, positions and free views."""
     rng = room_generator(11, index)
     for _ in range(20):
-        room = sample_room(rng)
+        room = sample_room(rng, **how)
         rays = RoomRays.of(build_room(room))
         try:
             positions = sample_positions(rng, room, rays)

@@ -25,7 +25,7 @@ from xihe_blender.lab.rooms.rooms import room_generator, sample_room
 from xihe_blender.lab.rooms.statistics import light_statistics, panorama_faults, statistics_table
 from xihe_blender.lab.rooms.store import load_room, room_path, save_room, stored_indices
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
-from xihe_blender.lab.rooms.views import MIN_CLEARANCE_M, N_POSITIONS, N_VIEWS
+from xihe_blender.lab.rooms.views import MIN_CLEARANCE_M, N_POSITIONS, N_SUNLIT, N_VIEWS
 from xihe_blender.lab.workers import one_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet.camera import project_points, unproject_frame
@@ -141,6 +141,16 @@ def test_positions_float_just_above_a_surface_and_clear_of_everything(places):
         assert distances.min() > 0.8 * MIN_CLEARANCE_M
         assert from_behind.mean() < 0.15, "inside a thing every surface is met from behind"
         assert room.outline.holds((position[0], position[1]))
+
+
+@pytest.mark.parametrize("index", [0, 2, 15])
+def test_where_the_sun_shines_in_half_of_the_positions_are_in_it(index):
+    room, rays, positions, _ = places_of(index, by_day=True)
+    assert room.daylight.sun is not None
+    to_sun = np.array(rays.scene.objects["Sun"].matrix_world.col[2][:3])
+    np.testing.assert_allclose(room.daylight.sun.towards, to_sun, atol=1e-6)
+    are_sunlit = [bool(np.isinf(rays.cast(position, to_sun[None])[0][0])) for position in positions]
+    assert are_sunlit[:N_SUNLIT] == [True] * N_SUNLIT
 
 
 def test_the_phone_is_held_as_by_a_person_and_inside_nothing(places):

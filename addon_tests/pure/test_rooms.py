@@ -91,6 +91,14 @@ def test_all_shapes_and_hours_occur():
     assert len({room.kind for room in ROOMS}) == 8
 
 
+def test_half_of_the_rooms_by_day_have_a_sun_from_hazy_to_far_brighter_than_the_sky():
+    by_day = [sample_room(room_generator(7, i), by_day=True) for i in range(N_SEEDS)]
+    suns = [room.daylight.sun for room in by_day if room.windows]
+    assert 0.4 < np.mean([sun is not None for sun in suns]) < 0.7
+    irradiance = [sun.irradiance for sun in suns if sun is not None]
+    assert min(irradiance) < 5 and max(irradiance) > 100, "W/m² where skies have a radiance of 0.8 to 14"
+
+
 def test_varied_rooms_have_all_sizes_clutter_and_lamps_and_some_have_windows_alone():
     assert {room.kind for room in VARIED} == {f"varied {kind}" for kind in SIZES}
     assert {piece.kind for room in VARIED for piece in room.pieces} >= set(CLUTTER)

@@ -47,6 +47,13 @@ REGIMES = {
 
 DARK = ("evening", "night")
 
+SUN_OVER_SKY = (0.5, 40.0)
+"""Irradiance of the sun over the radiance of the sky, log-uniform: from haze to a clear day, on which the sun gives
+some 800 W/m² and the whole sky, pi times its radiance, some 80."""
+
+SUN_BY_DAY = 0.5
+"""Least chance of a sun in rooms that have no other light but what comes through their windows."""
+
 
 def sample_regime(rng: Rng, *, has_window: bool) -> str:
     """A regime by its share; a room without a window has its lamps on."""
@@ -55,17 +62,19 @@ def sample_regime(rng: Rng, *, has_window: bool) -> str:
     return list(REGIMES)[int(rng.choice(len(REGIMES), p=[regime.share for regime in REGIMES.values()]))]
 
 
-def sample_daylight(rng: Rng, floor: Floor, regime: Regime) -> Daylight:
+def sample_daylight(rng: Rng, floor: Floor, regime: Regime, *, by_day: bool = False) -> Daylight:
     """A panorama, turned and scaled, and perhaps a sun that shines through a window."""
+    sun_chance = max(regime.sun_chance, SUN_BY_DAY) if by_day else regime.sun_chance
     panorama = str(rng.choice(regime.panoramas))
     radiance = float(np.exp(rng.uniform(*np.log(regime.sky))))
     sun, windows = None, floor.windows
-    if windows and rng.random() < regime.sun_chance:
+    if windows and rng.random() < sun_chance:
         x, y = floor.outline.walls[windows[int(rng.integers(len(windows)))].wall].outward
         azimuth = float(np.degrees(np.arctan2(y, x)) + rng.uniform(-55, 55))
         warm = float(rng.uniform(0, 1))
         tint = (1.0, 0.97 - 0.12 * warm, 0.93 - 0.3 * warm)
-        sun = Sun(azimuth, float(rng.uniform(12, 58)), radiance * float(rng.uniform(0.3, 2.0)), tint)
+        elevation, over_sky = float(rng.uniform(12, 58)), float(np.exp(rng.uniform(*np.log(SUN_OVER_SKY))))
+        sun = Sun(azimuth, elevation, radiance * over_sky, tint)
     return Daylight(panorama, float(rng.uniform(0, 360)), radiance / MEAN_RADIANCE[panorama], sun)
 
 

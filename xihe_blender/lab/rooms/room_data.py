@@ -103,6 +103,13 @@ class Sun:
     irradiance: float
     tint: Colour
 
+    @property
+    def towards(self) -> tuple[float, float, float]:
+        """Unit vector from anywhere to the sun."""
+        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
+        across = math.cos(elevation)
+        return across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation)
+
 
 @dataclass(frozen=True)
 class Daylight:

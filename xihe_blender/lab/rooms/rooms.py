@@ -69,7 +69,7 @@ def sample_room(rng: Rng, *, by_day: bool = False) -> Room:
     if by_day and regime_name in DARK:
         regime_name = "mixed"
     regime = REGIMES[regime_name]
-    daylight = sample_daylight(rng, floor, regime)
+    daylight = sample_daylight(rng, floor, regime, by_day=by_day)
     glass_share = sum((w.high - w.low) * (w.top - w.bottom) for w in shell.windows) / shell.outline.area
     sky = float(np.sqrt(regime.sky[0] * regime.sky[1]))
     lamps = sample_lamps(rng, floor, kind, regime, sky * glass_share * 6.0)

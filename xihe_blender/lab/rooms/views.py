@@ -18,11 +18,12 @@ from mathutils import Vector
 
 from xihe_blender.lab.rooms.arrange import Rng, draw_point
 from xihe_blender.lab.rooms.outline import Rect
-from xihe_blender.lab.rooms.room_data import Piece, Room
+from xihe_blender.lab.rooms.room_data import Piece, Room, Sun
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sphere import AnchorLattice
 
 N_VIEWS, N_POSITIONS = 5, 4
+N_SUNLIT = 2  # Of the positions, where the sun shines in and reaches places for them: chance finds one in fifty
 VIEW_TRIES, POSITION_TRIES = 300, 300
 MIN_CLEARANCE_M = 0.035  # Nearer than this nothing may be to a position: the surface below is 5 cm away at least
 PHONE_CLEARANCE_M = 0.25
@@ -77,14 +78,21 @@ class RoomRays:
 
 
 def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
-    """(N_POSITIONS, 3) placement positions, half of them over furniture. RoomTooFull if there are not as many."""
+    """(N_POSITIONS, 3) placement positions, half of them over furniture. RoomTooFull if there are not as many.
+
+    The first N_SUNLIT of them are in the sun, where half of the tries find as many.
+    """
     found: list[ArrayF64] = []
     pieces = [p for p in room.pieces if p.z < 0.1 and 0.2 < p.top_m < 1.25]
-    for _ in range(POSITION_TRIES):
+    sun = room.daylight.sun
+    for n_tried in range(POSITION_TRIES):
         is_over_a_piece = pieces and rng.random() < 0.6
         area = pieces[int(rng.integers(len(pieces)))].footprint if is_over_a_piece else room.outline.bounds.grown(-0.1)
         position = _draw_position(rng, room, rays, area)
         if position is None or any(np.linalg.norm(position - other) < POSITION_SPACING_M for other in found):
+            continue
+        wants_sun = sun is not None and len(found) < N_SUNLIT and n_tried < POSITION_TRIES // 2
+        if wants_sun and not _is_sunlit(rays, position, sun):
             continue
         distances, from_behind = rays.cast_around(position, N_CLEARANCE_RAYS)
         if distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE:
@@ -92,6 +100,10 @@ def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
         if len(found) == N_POSITIONS:
             return np.array(found)
     raise RoomTooFull(f"only {len(found)} of {N_POSITIONS} placement positions found")
+
+
+def _is_sunlit(rays: RoomRays, place_m: ArrayF64, sun: Sun | None) -> bool:
+    return sun is not None and bool(np.isinf(rays.cast(place_m, np.array([sun.towards]))[0][0]))
 
 
 def _draw_position(rng: Rng, room: Room, rays: RoomRays, area: Rect) -> ArrayF64 | None:
