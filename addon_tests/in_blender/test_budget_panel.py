@@ -20,6 +20,7 @@ def addon():
         yield
 
 
+@pytest.mark.slow
 def test_the_button_brings_what_the_function_measures_and_the_panel_shows_the_active_object(tmp_path, monkeypatch):
     # What takes three times as long with three seeds is tested in `test_error_budget`.
     monkeypatch.setitem(error_budget.__kwdefaults__, "n_seeds", 1)

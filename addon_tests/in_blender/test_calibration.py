@@ -44,6 +44,7 @@ def test_what_is_remembered_is_whole_and_says_its_sentence(tmp_path):
     assert kept == {**asdict(KNOWN), "said": said} and format_calibration(KNOWN) == said
 
 
+@pytest.mark.slow
 def test_the_button_keeps_what_the_function_measures_and_the_panel_says_it(tmp_path):
     scene = walk_for_the_panel(tmp_path / "runs")
     assert calibration_line() == ""

@@ -26,6 +26,7 @@ def lights(results):
     }
 
 
+@pytest.mark.slow
 def test_a_run_over_the_service_is_the_local_one(tmp_path):
     settings = replace(SMALL, frames=(1, 2))
     here = run(walk(), tmp_path / "here", settings)

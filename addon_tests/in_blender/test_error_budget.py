@@ -86,6 +86,7 @@ def test_the_light_in_force_is_that_of_a_run(tmp_path):
     assert item.error == pytest.approx(np.sqrt(within + beyond))
 
 
+@pytest.mark.slow
 def test_a_budget_that_is_stopped_goes_on_and_a_finished_one_renders_nothing(tmp_path):
     scene, out = room_with_a_virtual_sphere(2), tmp_path / "out"
     with contextlib.closing(error_budget(scene, out, QUICK, n_moments=1, n_seeds=2)) as job:
@@ -208,6 +209,7 @@ def test_the_cones_are_those_of_the_reference_probe():
     np.testing.assert_allclose(reference_probe.cone_factors(), opposite * per_coefficient(cone_factors(2)))
 
 
+@pytest.mark.slow
 def test_ball_and_pictures_all_around_show_the_light_of_the_reference_probe():
     scene = room_with_a_virtual_sphere(1)
     place, settings = (0.2, -0.3, 1.4), ProbeSettings(size=96, max_samples=16, noise_target=None)

@@ -54,6 +54,7 @@ def renders_of_the_room(renders):
     return sorted(name for name in renders if name not in (LIT_SCENE, "Xihe Effects"))
 
 
+@pytest.mark.slow
 def test_a_trial_has_the_numbers_of_a_run_of_its_own_and_all_trials_render_no_more_of_the_room(tmp_path, whole, file):
     unit, of_unit = whole
     assert [(t.phone, t.estimator) for t in unit.trials] == SMALL.trials()
@@ -80,6 +81,7 @@ def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, whole, 
     assert captures and all(files_below(tmp_path)[name] == there[name] for name in captures)
 
 
+@pytest.mark.slow
 def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(whole):
     truth, estimated = (trial_of(whole[0], "perfect", estimator) for estimator in ("truth", "projection"))
     assert truth.thetas == () and truth.frames[0].shc_rmse == 0

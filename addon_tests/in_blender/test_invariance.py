@@ -14,6 +14,7 @@ def assert_same(seen, known, tolerance):
         assert error <= tolerance[name], f"{name}: {error:.4f}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("placing", [Placing("turned by 90 degrees", yaw_deg=90.0), *ALL_THREE], ids=str)
 def test_a_room_elsewhere_turned_or_in_other_units_has_the_turned_light(placing):
     assert_same(seen(placing), seen(), TOLERANCE)

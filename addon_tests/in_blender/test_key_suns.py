@@ -147,6 +147,7 @@ def test_a_run_says_its_key_lights_and_the_file_has_them(ran):
             assert strength.evaluate(change.frame) == pytest.approx(energy, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["sh+key", "sh+key+reflections"])
 def test_key_light_of_truth_points_at_the_lamp_that_nobody_looked_at(tmp_path, light):
     scene, at = empty_scene(), np.array([0.8, 0.5, 2.3])

@@ -96,6 +96,7 @@ def test_the_phone_changes_the_light_and_leaves_the_captures_perfect(perfect, ip
     ]
 
 
+@pytest.mark.slow
 def test_the_errors_of_the_report_are_those_of_whole_sessions(perfect, ipad, tmp_path):
     errors = ipad.results["phone"]["shc_rmse"]
     assert errors["all_on"] == ipad.results["summary"]["mean_shc_rmse"]

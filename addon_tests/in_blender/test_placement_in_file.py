@@ -98,6 +98,7 @@ def test_a_new_map_takes_the_place_of_the_old_one_and_a_saved_one_is_found_again
     assert shown_place(placement_map(), 0).position_m[2] == pytest.approx(1.2, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_run_does_not_see_the_map(scene, tmp_path):
     without = run(scene, tmp_path / "without", CAPTURED)
     bpy.ops.xihe.map_places()

@@ -141,6 +141,7 @@ def test_another_seed_gives_another(tmp_path):
         assert entries(one)[1]["probes"][0][light] != entries(other)[1]["probes"][0][light]
 
 
+@pytest.mark.slow
 def test_a_run_stopped_at_every_step_ends_as_an_undisturbed_one(finished, tmp_path):
     out, scene, n_stops = tmp_path / "out", walk(), 0
     with counted_renders() as renders:
@@ -182,6 +183,7 @@ def test_what_a_finished_run_has_lost_is_made_again_without_rendering(finished, 
     assert without_times(again) == without_times(finished.results) == without_times(read_strictly(copied.results))
 
 
+@pytest.mark.slow
 def test_every_json_of_a_run_that_is_damaged_is_made_again(finished, copied, caplog):
     damaged = {copied.results, *copied.settings.parent.glob("*.json")} - {copied.settings}
     assert len(damaged) > 4 + 3 * (N_FRAMES - 1)

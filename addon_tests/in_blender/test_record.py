@@ -58,6 +58,7 @@ def replayed(folder, positions_m):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [SMALL, IPAD], ids=["perfect", "ipad"])
 def test_a_recorded_session_gives_the_light_of_the_run_to_the_last_bit(finished, tmp_path, settings):
     results, folder = finished.results, finished.outputs.folder

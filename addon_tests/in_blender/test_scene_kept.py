@@ -121,6 +121,7 @@ def test_a_render_result_that_was_there_stays():
     assert [image.type for image in bpy.data.images] == ["RENDER_RESULT"]
 
 
+@pytest.mark.slow
 def test_the_scene_is_as_it_was_after_runs_and_after_what_they_added_is_removed(tmp_path):
     scene = lived_in_scene()
     before = snapshot()
