@@ -2,7 +2,7 @@
 
 Helpers are plain interpreters that run this module: they get the walk and then one batch of places after the other
 through a pipe, and know no Blender. Threads were rejected, since the chain is many short NumPy calls that wait for one
-another. Nothing depends on a helper: one that cannot start, or ends, leaves its batch to the others.
+another. Nothing depends on a helper: what one that cannot start, ends or hangs does not answer, this process finds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
@@ -34,7 +33,6 @@ MOST_HELPERS = 3
 WORTH_IT = 40
 """Places; a helper takes about a second to start."""
 
-_WAIT_S = 0.02
 _NO_WINDOW: dict[str, Any] = {"creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0)}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -53,32 +51,24 @@ def find_light_on_all_cores(
         n_helpers = min(MOST_HELPERS, n_cores() - 1) if len(places_m) >= WORTH_IT else 0
     names, found = list(places_m), dict[str, FoundLight]()
     batches = deque(names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE))
-    packed = _packed(walk) if n_helpers else None
+    packed = _packed(walk) if n_helpers else b""
     with contextlib.ExitStack() as stack:
-        helpers = [
+        for _ in range(n_helpers if packed else 0):
             stack.enter_context(helper(packed, places_m, batches, found))
-            for _ in range(n_helpers)
-            if packed is not None
-        ]
-        while True:
-            # In this order: a helper puts its batch back before it ends.
-            is_helped = any(helper.is_alive() for helper in helpers)
+        while len(found) < len(names):
+            yield len(found)
             try:
                 batch = batches.popleft()
-            except IndexError:
-                if not is_helped:
-                    return {name: found[name] for name in names}
-                yield len(found)
-                time.sleep(_WAIT_S)
-                continue
+            except IndexError:  # Helpers have the rest: what they do not answer is found here.
+                batch = [name for name in names if name not in found][:AT_ONCE]
             steps = walk.find_light({name: places_m[name] for name in batch})
-            while True:
+            while not all(name in found for name in batch):
                 try:
                     next(steps)
                 except StopIteration as finished:
                     found.update(finished.value)
-                    break
                 yield len(found)
+    return {name: found[name] for name in names}
 
 
 def n_cores() -> int:
@@ -86,12 +76,12 @@ def n_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _packed(walk: KeptWalk) -> bytes | None:
-    """None for a walk whose estimator cannot be sent, such as one that runs elsewhere."""
+def _packed(walk: KeptWalk) -> bytes:
+    """Empty for a walk whose estimator cannot be sent, such as one that runs elsewhere."""
     try:
         return pickle.dumps(walk, pickle.HIGHEST_PROTOCOL)
     except (pickle.PicklingError, AttributeError, TypeError):
-        return None
+        return b""
 
 
 @contextlib.contextmanager
@@ -100,7 +90,7 @@ def helper(
 ) -> Iterator[threading.Thread]:
     """The thread that keeps a helper busy until there are no `batches`; both have ended when the block has.
 
-    `packed` is the pickled walk; lights are put into `found`, and a batch that failed is put back.
+    `packed` is the pickled walk, and lights are put into `found`.
     """
     quiet, piped = subprocess.DEVNULL, subprocess.PIPE
     command = [sys.executable, "-P", "-m", "xihenet.other_cores"]
@@ -113,8 +103,8 @@ def helper(
     to_helper, from_helper = process.stdin, process.stdout
 
     def keep_busy() -> None:
-        batch: list[str] = []
-        try:
+        # There are no more batches, or the helper has ended.
+        with contextlib.suppress(IndexError, OSError, EOFError, ValueError, pickle.UnpicklingError):
             to_helper.write(packed)
             to_helper.flush()
             pickle.load(from_helper)  # That it is ready.
@@ -123,11 +113,6 @@ def helper(
                 pickle.dump({name: places_m[name] for name in batch}, to_helper)
                 to_helper.flush()
                 found.update(pickle.load(from_helper))
-        except IndexError:  # There are no more.
-            return
-        except (OSError, EOFError, ValueError, pickle.UnpicklingError):
-            if batch:
-                batches.append(batch)
 
     thread = threading.Thread(target=keep_busy, daemon=True)
     thread.start()

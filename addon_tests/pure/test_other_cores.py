@@ -84,6 +84,16 @@ def test_helpers_that_cannot_work_leave_it_to_this_process(walk, places, one_aft
     assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
 
 
+@pytest.mark.parametrize("says", ["", "pickle.dump(True, sys.stdout.buffer); sys.stdout.flush(); "])
+def test_a_helper_that_never_answers_is_not_waited_for(walk, places, one_after_the_other, says, monkeypatch, tmp_path):
+    package = tmp_path / "xihenet"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "other_cores.py").write_text(f"import pickle, sys, time; {says}time.sleep(600)")
+    monkeypatch.setattr(other_cores, "_environment", lambda: {"PYTHONPATH": str(tmp_path)})
+    assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
+
+
 def test_an_estimator_that_cannot_be_sent_is_asked_here(walk, places, one_after_the_other):
     walk.estimator.held = threading.Lock()
     assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
