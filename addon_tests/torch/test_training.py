@@ -357,6 +357,22 @@ def test_the_expected_error_learns_the_mean_error(tmp_path):
     assert losses[0.3] < losses[0.2] and losses[0.3] < losses[0.4]
 
 
+def test_a_relative_loss_counts_bright_and_dark_lights_alike_and_too_little_as_much_as_too_much(tmp_path):
+    plain, relative = (quick(tmp_path, tmp_path, is_relative=on) for on in (False, True))
+    rng = np.random.default_rng(0)
+    truth = torch.from_numpy(rng.normal(size=(8, 9, 3)).astype(np.float32)) * 100
+    off = torch.ones(9, 3) * 10
+
+    def loss(light, aim, settings):
+        return float(training_loss(light, None, aim, settings))
+
+    assert loss(truth * 10 + off * 10, truth * 10, plain) > 5 * loss(truth + off, truth, plain)
+    assert loss(truth * 10 + off * 10, truth * 10, relative) == pytest.approx(
+        loss(truth + off, truth, relative), rel=0.01
+    )
+    assert loss(truth * 1.3, truth, relative) == pytest.approx(loss(truth, truth * 1.3, relative), rel=1e-5)
+
+
 def test_hidden_caps_leave_a_part_of_some_clouds_and_nothing_of_what_was_hidden():
     rng = np.random.default_rng(0)
     points = torch.from_numpy((3 * AnchorLattice(N).directions).astype(np.float32)).expand(200, N, 3)

@@ -105,6 +105,12 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
     add("--learning-rate", type=float, default=2e-3, metavar="RATE", help="highest learning rate")
     add("--weight-decay", type=float, default=0.02, metavar="FACTOR", help="weight decay of the optimiser")
     add("--patience", type=int, default=15, metavar="N", help="epochs without improvement after which training ends")
+    add(
+        "--relative-loss",
+        action="store_true",
+        dest="is_relative",
+        help="count each error relative to the size of its light",
+    )
     add("--device", default="cpu", metavar="NAME", help="device that torch trains on, such as cuda")
     add("--rooms", type=int, metavar="N", help="train on the first N rooms alone, for learning curves")
     add("--keep-unset-at-origin", action="store_true",

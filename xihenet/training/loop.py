@@ -8,8 +8,9 @@ and kept in the end, is the moving average; training stops when it has not becom
 `patience` epochs.
 
 The loss is on coefficients and on irradiance at fixed normals, which is what a lit surface shows; a Huber loss, so that
-the few HDR lights of a hundred times the mean do not rule the rest. The expected error is fitted to the RMSE that was
-made, by the likelihood of an exponential distribution, whose best guess is the mean error.
+the few HDR lights of a hundred times the mean do not rule the rest. Where places in the sun are among the training
+rooms they do even so, and it can be counted relative to the size of each light (`is_relative`). The expected error is
+fitted to the RMSE that was made, by the likelihood of an exponential distribution, whose best guess is the mean error.
 """
 
 from __future__ import annotations
@@ -38,6 +39,10 @@ KEEP_EVERY_S = 600.0
 Progress = Callable[[str], None]
 
 
+RELATIVE_FLOOR = 0.2  # Added to sizes that errors are relative to: the median light of the training rooms has 0.3
+RELATIVE_WEIGHT = 0.3  # Of a relative loss, so that it weighs about as much beside that of the expected error
+
+
 @dataclass(frozen=True)
 class TrainSettings:
     """One training."""
@@ -56,6 +61,8 @@ class TrainSettings:
     irradiance_weight: float = 0.5  # of the second part of the loss
     error_weight: float = 0.02  # of the third
     huber_delta: float = 1.0  # difference of coefficients from which the loss is linear
+    # Of each cloud divided by the mean size of its light and of the truth, so that the brightest do not rule the rest.
+    is_relative: bool = False
     hidden_share: float = 0.3  # share of the training clouds of which a random cap is hidden, see `hide_caps`
     n_rooms: int | None = None  # train on the clouds of the first rooms alone, for learning curves; None for all
     options: Mapping[str, object] = field(default_factory=dict)  # of the network's architecture
@@ -155,13 +162,25 @@ def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, s
     # Over pi: what a white Lambert surface shows.
     to_irradiance = torch.as_tensor((irradiance_table(N_NORMALS) / np.pi).astype(np.float32), device=light.device)
     huber = nn.functional.huber_loss
-    loss = huber(light, truth, delta=settings.huber_delta)
-    irradiance = huber(to_irradiance @ light, to_irradiance @ truth, delta=settings.huber_delta)
+    judged, aim = light, truth
+    if settings.is_relative:
+        # Of both, or guessing too little would be cheaper than too much.
+        size = (_size(light.detach()) + _size(truth)) / 2 + RELATIVE_FLOOR
+        judged, aim = light / size[:, None, None], truth / size[:, None, None]
+    loss = huber(judged, aim, delta=settings.huber_delta)
+    irradiance = huber(to_irradiance @ judged, to_irradiance @ aim, delta=settings.huber_delta)
     loss = loss + settings.irradiance_weight * irradiance
+    if settings.is_relative:
+        loss = loss * RELATIVE_WEIGHT
     if expected_error is not None:
-        made = (light.detach() - truth).square().mean((1, 2)).sqrt()
+        made = _size(light.detach() - truth)
         loss = loss + settings.error_weight * (expected_error.log() + made / expected_error).mean()
     return loss
+
+
+def _size(light: Tensor) -> Tensor:
+    """(B,) root mean square of (B, 9, 3)."""
+    return light.square().mean((1, 2)).sqrt()
 
 
 def _start_or_resume(settings: TrainSettings) -> _Run:
