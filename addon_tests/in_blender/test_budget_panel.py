@@ -22,8 +22,9 @@ def addon():
 
 @pytest.mark.slow
 def test_the_button_brings_what_the_function_measures_and_the_panel_shows_the_active_object(tmp_path, monkeypatch):
-    # What takes three times as long with three seeds is tested in `test_error_budget`.
-    monkeypatch.setitem(error_budget.__kwdefaults__, "n_seeds", 1)
+    # More seeds and moments, which take as many times as long, are tested in `test_error_budget`.
+    for name in ("n_seeds", "n_moments"):
+        monkeypatch.setitem(error_budget.__kwdefaults__, name, 1)
     scene = walk_for_the_panel(tmp_path / "runs")
     assert last_budget(scene.xihe.budget_folder) is None
     assert bpy.ops.xihe.measure_budget() == {"FINISHED"}

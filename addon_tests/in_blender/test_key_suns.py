@@ -156,7 +156,7 @@ def test_key_light_of_truth_points_at_the_lamp_that_nobody_looked_at(tmp_path, l
     box(scene, "Dim", (-1.5, -1.5, 1.0), (0.6, 0.6, 0.6), material("Dim", (1, 1, 1), 2.0))
     ball = sphere(scene, "Ball", (0, 0, 1), 0.1, material("Ball", (1, 1, 1)), virtual_collection(scene, create=True))
     phone(scene, (-0.5, -1.5, 1.2), (0, 0, 1.0))
-    settings = PrevisSettings(frames=(1,), size=(32, 24), samples=16, preset="draft", light=light)
+    settings = PrevisSettings(frames=(1,), size=(32, 24), samples=4, preset="draft", light=light)
     outputs, plan = RunOutputs(tmp_path, "room"), plan_previs(scene, settings)
     survey = survey_run(scene, plan, outputs)
     run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
