@@ -19,6 +19,7 @@ from types import FrameType
 from typing import TypeVar
 
 Result = TypeVar("Result")
+Step = TypeVar("Step")
 
 
 @dataclass(frozen=True)
@@ -109,14 +110,19 @@ def run_blocking(job: Job[Result], on_progress: Callable[[Progress, float], None
 def part_of(whole: float, done: float, share: float, job: Job[Result], scene: str = "") -> Job[Result]:
     """`job` as `share` of the units of `whole`, of which `done` are done before it."""
     prefix = f"{scene}: " if scene else ""
-    with contextlib.closing(job):
+    return shown(job, lambda own: Progress(done + share * (own.done / own.total), whole, prefix + own.doing))
+
+
+def shown(steps: Generator[Step, None, Result], say: Callable[[Step], Progress]) -> Job[Result]:
+    """A job of `steps`, which yield something else, or Progress of their own; `say` says what each of them shows."""
+    with contextlib.closing(steps):
         while True:
             try:
-                own = next(job)
+                step = next(steps)
             except StopIteration as finished:
                 result: Result = finished.value
                 return result
-            yield Progress(done + share * (own.done / own.total), whole, prefix + own.doing)
+            yield say(step)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,6 @@ another. Nothing depends on a helper: what one that cannot start, ends or hangs 
 from __future__ import annotations
 
 import contextlib
-import os
 import pickle
 import signal
 import subprocess
@@ -16,11 +15,9 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from xihenet.child_processes import child_environment, n_cores
 from xihenet.kept_walk import FoundLight, KeptWalk
 from xihenet.records import ArrayF64
 
@@ -34,7 +31,6 @@ WORTH_IT = 40
 """Places; a helper takes about a second to start."""
 
 _NO_WINDOW: dict[str, Any] = {"creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0)}
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 Places = Mapping[str, ArrayF64]
 
@@ -71,11 +67,6 @@ def find_light_on_all_cores(
     return {name: found[name] for name in names}
 
 
-def n_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def _packed(walk: KeptWalk) -> bytes:
     """Empty for a walk whose estimator cannot be sent, such as one that runs elsewhere."""
     try:
@@ -95,7 +86,9 @@ def helper(
     quiet, piped = subprocess.DEVNULL, subprocess.PIPE
     command = [sys.executable, "-P", "-m", "xihenet.other_cores"]
     try:
-        process = subprocess.Popen(command, stdin=piped, stdout=piped, stderr=quiet, env=_environment(), **_NO_WINDOW)
+        process = subprocess.Popen(
+            command, stdin=piped, stdout=piped, stderr=quiet, env=child_environment(), **_NO_WINDOW
+        )
     except OSError:
         yield threading.Thread()
         return
@@ -125,13 +118,6 @@ def helper(
         for pipe in (to_helper, from_helper):
             with contextlib.suppress(OSError):
                 pipe.close()
-
-
-def _environment() -> dict[str, str]:
-    """This process' environment, so that a helper finds the packages that this one has, and takes one core."""
-    paths = [str(Path(__file__).resolve().parents[1]), str(Path(np.__file__).resolve().parents[1])]
-    known = [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
-    return {**os.environ, "PYTHONPATH": os.pathsep.join([*paths, *known]), **_ONE_THREAD}
 
 
 def _serve() -> None:

@@ -80,7 +80,7 @@ def test_with_helpers_nothing_changes(walk, places, one_after_the_other, n_helpe
 def test_helpers_that_cannot_work_leave_it_to_this_process(walk, places, one_after_the_other, interpreter, monkeypatch):
     monkeypatch.setattr(sys, "executable", interpreter)
     # Without a PYTHONPATH that leads to this package a helper starts, and ends at once.
-    monkeypatch.setattr(other_cores, "_environment", lambda: {"PYTHONPATH": "/nowhere"})
+    monkeypatch.setattr(other_cores, "child_environment", lambda: {"PYTHONPATH": "/nowhere"})
     assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
 
 
@@ -90,7 +90,7 @@ def test_a_helper_that_never_answers_is_not_waited_for(walk, places, one_after_t
     package.mkdir()
     (package / "__init__.py").touch()
     (package / "other_cores.py").write_text(f"import pickle, sys, time; {says}time.sleep(600)")
-    monkeypatch.setattr(other_cores, "_environment", lambda: {"PYTHONPATH": str(tmp_path)})
+    monkeypatch.setattr(other_cores, "child_environment", lambda: {"PYTHONPATH": str(tmp_path)})
     assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
 
 

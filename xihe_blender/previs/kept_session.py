@@ -6,17 +6,15 @@ is not here: reference light and ground truth.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.camera import unproject_frame
@@ -26,8 +24,6 @@ from xihenet.other_cores import find_light_on_all_cores
 from xihenet.recording import SessionFacts, load_frame
 from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,25 +44,21 @@ class KeptSession:
 
         Nothing is rendered. The same as a run's, to the last bit.
         """
-        said = [f"estimating the light from frame {one.seen.frame}" for one in self.frames]
-        return (yield from _shown(self._walk.find_light(places_m), len(said), said.__getitem__))
+        frames = [one.seen.frame for one in self.frames]
+
+        def say(done: int) -> Progress:
+            return Progress(done, len(frames), f"estimating the light from frame {frames[done]}")
+
+        return shown(self._walk.find_light(places_m), say)
 
     def find_light_on_all_cores(self, places_m: Mapping[str, ArrayF64]) -> Job[dict[str, FoundLight]]:
         """A job: as `find_light`, for many positions, with the other cores of this machine."""
-        steps, n = find_light_on_all_cores(self._walk, places_m), len(places_m)
-        return (yield from _shown(steps, n, lambda done: f"estimating the light at place {min(done + 1, n)} of {n}"))
+        n = len(places_m)
 
+        def say(done: int) -> Progress:
+            return Progress(done, n, f"estimating the light at place {min(done + 1, n)} of {n}")
 
-def _shown(steps: Generator[int, None, Result], total: int, doing: Callable[[int], str]) -> Job[Result]:
-    """A job of `steps`, each of which says how many of `total` units are done."""
-    with contextlib.closing(steps):
-        while True:
-            try:
-                done = next(steps)
-            except StopIteration as finished:
-                result: Result = finished.value
-                return result
-            yield Progress(done, total, doing(done))
+        return shown(find_light_on_all_cores(self._walk, places_m), say)
 
 
 def open_kept_session(folder: Path) -> Job[KeptSession]:

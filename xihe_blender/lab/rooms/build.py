@@ -22,9 +22,10 @@ from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, stored_indices
 from xihe_blender.lab.workers.dask_workers import Work, open_dask_workers
-from xihe_blender.lab.workers.one_core import last_line, n_cores, process_on_one_core
+from xihe_blender.lab.workers.one_core import last_line, process_on_one_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet import __version__
+from xihenet.child_processes import n_cores
 from xihenet.training.rooms import SPLITS, Split, split_of
 
 POLL_S = 0.25

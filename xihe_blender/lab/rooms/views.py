@@ -71,6 +71,10 @@ class RoomRays:
         distances = np.linalg.norm(gaps, axis=1)
         return np.asarray(self.cast(place_m, gaps / distances[:, None])[0] > distances)
 
+    def see(self, place_m: ArrayF64, sun: Sun) -> bool:
+        """Whether nothing stands between a place (3,) and the sun."""
+        return bool(np.isinf(self.cast(place_m, np.array([sun.towards]))[0][0]))
+
     def floor_below(self, x: float, y: float, from_z: float) -> float | None:
         """Height of the surface below a point, or None if it does not face up."""
         hit, place, normal, *_ = self.scene.ray_cast(self.depsgraph, (x, y, from_z), (0.0, 0.0, -1.0))
@@ -91,8 +95,8 @@ def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
         position = _draw_position(rng, room, rays, area)
         if position is None or any(np.linalg.norm(position - other) < POSITION_SPACING_M for other in found):
             continue
-        wants_sun = sun is not None and len(found) < N_SUNLIT and n_tried < POSITION_TRIES // 2
-        if wants_sun and not _is_sunlit(rays, position, sun):
+        wants_sun = len(found) < N_SUNLIT and n_tried < POSITION_TRIES // 2
+        if sun is not None and wants_sun and not rays.see(position, sun):
             continue
         distances, from_behind = rays.cast_around(position, N_CLEARANCE_RAYS)
         if distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE:
@@ -100,10 +104,6 @@ def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
         if len(found) == N_POSITIONS:
             return np.array(found)
     raise RoomTooFull(f"only {len(found)} of {N_POSITIONS} placement positions found")
-
-
-def _is_sunlit(rays: RoomRays, place_m: ArrayF64, sun: Sun | None) -> bool:
-    return sun is not None and bool(np.isinf(rays.cast(place_m, np.array([sun.towards]))[0][0]))
 
 
 def _draw_position(rng: Rng, room: Room, rays: RoomRays, area: Rect) -> ArrayF64 | None:

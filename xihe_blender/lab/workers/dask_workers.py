@@ -28,8 +28,9 @@ from typing import TYPE_CHECKING, Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Progress
-from xihe_blender.lab.workers.one_core import last_line, n_cores, process_on_one_core
+from xihe_blender.lab.workers.one_core import last_line, process_on_one_core
 from xihenet import __version__
+from xihenet.child_processes import n_cores
 from xihenet.formats import format_count
 
 if TYPE_CHECKING:

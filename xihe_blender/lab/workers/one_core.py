@@ -15,10 +15,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
+from xihenet.child_processes import child_environment, cores
+
 ENDS_WITHIN_S = 60.0
 """Of a process that was told to end: enough for the room that it is making."""
-
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @contextlib.contextmanager
@@ -28,7 +28,7 @@ def process_on_one_core(command: Sequence[str], **streams: Any) -> Iterator[tupl
     `streams` are further arguments of `Popen`.
     """
     with tempfile.TemporaryFile() as errors, _free_core() as core:
-        process = subprocess.Popen(command, stderr=errors, env=_child_environment(), **streams)
+        process = subprocess.Popen(command, stderr=errors, env=child_environment(), **streams)
         try:
             if core is not None:
                 with contextlib.suppress(ProcessLookupError):
@@ -54,26 +54,11 @@ def last_line(errors: IO[bytes]) -> str:
     return next(reversed(errors.read().decode(errors="replace").strip().splitlines()), "")
 
 
-def n_cores() -> int:
-    """Cores that this process may use."""
-    return len(_cores()) or os.cpu_count() or 1
-
-
-def _child_environment() -> dict[str, str]:
-    """This process' environment, so that a child finds the same packages as this one."""
-    paths = [str(Path(__file__).resolve().parents[3]), os.environ.get("PYTHONPATH")]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path), **ONE_THREAD}
-
-
 @contextlib.contextmanager
 def _free_core() -> Iterator[int | None]:
     """A core that nobody else holds this way; None where all are held, or the system cannot say."""
     with contextlib.ExitStack() as stack:
-        yield next((core for core in _cores() if _is_locked_now(stack, core)), None)
-
-
-def _cores() -> list[int]:
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+        yield next((core for core in cores() if _is_locked_now(stack, core)), None)
 
 
 def _is_locked_now(stack: contextlib.ExitStack, core: int) -> bool:
