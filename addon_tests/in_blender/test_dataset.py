@@ -16,6 +16,7 @@ from xihe_process import ROOT
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.rooms import render_room
 from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, missing_rooms
 from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.contact_sheet import contact_sheet
@@ -25,7 +26,7 @@ from xihe_blender.lab.rooms.rooms import room_generator, sample_room
 from xihe_blender.lab.rooms.statistics import light_statistics, panorama_faults, statistics_table
 from xihe_blender.lab.rooms.store import load_room, room_path, save_room, stored_indices
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
-from xihe_blender.lab.rooms.views import MIN_CLEARANCE_M, N_POSITIONS, N_SUNLIT, N_VIEWS
+from xihe_blender.lab.rooms.views import BY_LAMP_M, MIN_CLEARANCE_M, N_POSITIONS, N_SUNLIT, N_VIEWS
 from xihe_blender.lab.workers import one_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet.camera import project_points, unproject_frame
@@ -151,6 +152,31 @@ def test_where_the_sun_shines_in_half_of_the_positions_are_in_it(index):
     np.testing.assert_allclose(room.daylight.sun.towards, to_sun, atol=1e-6)
     are_sunlit = [bool(np.isinf(rays.cast(position, to_sun[None])[0][0])) for position in positions]
     assert are_sunlit[:N_SUNLIT] == [True] * N_SUNLIT
+
+
+def test_the_last_position_is_by_a_lit_lamp():
+    near, drawn = [], 0
+    for index in range(12):
+        room, _, positions, _ = places_of(index)
+        lit = np.array([(lamp.x, lamp.y) for lamp in room.lamps if lamp.watts > 0])
+        if len(lit):
+            drawn += 1
+            near.append(np.abs(positions[-1, :2] - lit).max(axis=1).min() <= BY_LAMP_M + 1e-9)
+    assert drawn >= 6
+    assert np.mean(near) >= 0.8, "where no surface near a lamp is free, the position is elsewhere"
+
+
+def test_a_room_that_is_nearly_black_is_drawn_again(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        render_room, "sample_room", lambda rng, **how: drawn.append(sample_room(rng, **how)) or drawn[-1]
+    )
+    tiny = RoomRenderSettings((16, 12), 1, 16, 1, 16)
+    first = make_room(0, 0, tiny)
+    assert len(drawn) == 1
+    monkeypatch.setattr(render_room, "MAX_EXPOSURE", first.exposure * 0.99)
+    assert make_room(0, 0, tiny).exposure < first.exposure
+    assert len(drawn) > 1
 
 
 def test_the_phone_is_held_as_by_a_person_and_inside_nothing(places):

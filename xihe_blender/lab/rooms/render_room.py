@@ -31,6 +31,8 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics
 from xihenet.training.rooms import Split, split_of
 
 MAX_REDRAWS = 20
+MAX_EXPOSURE = 20.0
+"""Above it, a room is nearly black: what little light is in it is beyond a probe of few samples, and so is its truth."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def make_room(
 
     `varied` and `by_day` are shares of the training rooms: far more varied, and lit through windows alone. With `walk`
     the views are so many frames of a walk, and room, positions and their light are the same as without: the free views
-    are drawn all the same. A room that offers too few places is drawn again from the same generator.
+    are drawn all the same. A room that offers too few places, or is nearly black, is drawn again from the same generator.
     UserError if Cycles cannot render.
     """
     rng = room_generator(seed, index)
@@ -101,11 +103,13 @@ def make_room(
         is_unhidden = np.stack([rays.reach(view.place_m, positions_m) for view in views])
         pictures = render_views(scene, views, settings.view)
         exposure = metered_exposure([p.radiance for p in pictures], METERING) * room.exposure_gain
+        if exposure > MAX_EXPOSURE:
+            continue
         probe = settings.probe(split_of((seed, index)))
         lights = list(reference_lights(scene, positions_m, probe, scene.frame_current, exposure))
         return stored_room(pictures, exposure, positions_m, is_unhidden, lights, seed=(seed, index), kind=room.kind,
                            regime=room.regime)  # fmt: skip
-    raise UserError(f"room {index} of seed {seed}: no place for phone and objects in {MAX_REDRAWS} draws")
+    raise UserError(f"room {index} of seed {seed}: no place for phone and objects, or no light, in {MAX_REDRAWS} draws")
 
 
 @dataclass(frozen=True, eq=False)

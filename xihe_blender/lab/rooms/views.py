@@ -24,6 +24,8 @@ from xihenet.sphere import AnchorLattice
 
 N_VIEWS, N_POSITIONS = 5, 4
 N_SUNLIT = 2  # Of the positions, where the sun shines in and reaches places for them: chance finds one in fifty
+N_BY_LAMP = 1  # The last of the positions, where a lamp is lit and a surface is near it
+BY_LAMP_M = 0.6  # How far, across, a position by a lamp may be from it
 VIEW_TRIES, POSITION_TRIES = 300, 300
 MIN_CLEARANCE_M = 0.035  # Nearer than this nothing may be to a position: the surface below is 5 cm away at least
 PHONE_CLEARANCE_M = 0.25
@@ -84,19 +86,22 @@ class RoomRays:
 def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
     """(N_POSITIONS, 3) placement positions, half of them over furniture. RoomTooFull if there are not as many.
 
-    The first N_SUNLIT of them are in the sun, where half of the tries find as many.
+    The first N_SUNLIT of them are in the sun and the last N_BY_LAMP by a lit lamp, where half of the tries find as many.
     """
     found: list[ArrayF64] = []
     pieces = [p for p in room.pieces if p.z < 0.1 and 0.2 < p.top_m < 1.25]
-    sun = room.daylight.sun
+    sun, lit = room.daylight.sun, [lamp for lamp in room.lamps if lamp.watts > 0]
     for n_tried in range(POSITION_TRIES):
+        has_tries = n_tried < POSITION_TRIES // 2
         is_over_a_piece = pieces and rng.random() < 0.6
         area = pieces[int(rng.integers(len(pieces)))].footprint if is_over_a_piece else room.outline.bounds.grown(-0.1)
+        if lit and has_tries and len(found) >= N_POSITIONS - N_BY_LAMP:
+            lamp = lit[int(rng.integers(len(lit)))]
+            area = Rect.around((lamp.x, lamp.y), (2 * BY_LAMP_M, 2 * BY_LAMP_M))
         position = _draw_position(rng, room, rays, area)
         if position is None or any(np.linalg.norm(position - other) < POSITION_SPACING_M for other in found):
             continue
-        wants_sun = len(found) < N_SUNLIT and n_tried < POSITION_TRIES // 2
-        if sun is not None and wants_sun and not rays.see(position, sun):
+        if sun is not None and has_tries and len(found) < N_SUNLIT and not rays.see(position, sun):
             continue
         distances, from_behind = rays.cast_around(position, N_CLEARANCE_RAYS)
         if distances.min() > MIN_CLEARANCE_M and from_behind.mean() < MAX_BEHIND_SHARE:
