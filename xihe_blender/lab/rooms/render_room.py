@@ -32,7 +32,7 @@ from xihenet.training.rooms import Split, split_of
 
 MAX_REDRAWS = 20
 MAX_EXPOSURE = 20.0
-"""Above it, a room is nearly black: what little light is in it is beyond a probe of few samples, and so is its truth."""
+"""Above it, a room is nearly black: a probe of few samples does not find what little light there is."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,8 @@ def make_room(
 
     `varied` and `by_day` are shares of the training rooms: far more varied, and lit through windows alone. With `walk`
     the views are so many frames of a walk, and room, positions and their light are the same as without: the free views
-    are drawn all the same. A room that offers too few places, or is nearly black, is drawn again from the same generator.
+    are drawn all the same. A room that offers too few places, or is nearly black, is drawn again from the same
+    generator.
     UserError if Cycles cannot render.
     """
     rng = room_generator(seed, index)

@@ -86,7 +86,7 @@ class RoomRays:
 def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
     """(N_POSITIONS, 3) placement positions, half of them over furniture. RoomTooFull if there are not as many.
 
-    The first N_SUNLIT of them are in the sun and the last N_BY_LAMP by a lit lamp, where half of the tries find as many.
+    The first N_SUNLIT of them are in the sun and the last N_BY_LAMP by a lit lamp, where half of the tries find such.
     """
     found: list[ArrayF64] = []
     pieces = [p for p in room.pieces if p.z < 0.1 and 0.2 < p.top_m < 1.25]
