@@ -12,6 +12,7 @@ import torch
 from xihenet.camera import encode_exposed
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.mirror_ball import ball_directions, project_mirror_ball
 from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
@@ -298,6 +299,26 @@ def test_a_stopped_training_ends_where_an_undisturbed_one_does(caches, tmp_path,
     train(stopped, stop_after=2)
     assert same_weights(weights(whole), weights(train(stopped)))
     assert (tmp_path / "whole" / "curves.csv").read_text() == (tmp_path / "stopped" / "curves.csv").read_text()
+
+
+def test_a_training_begins_with_other_weights_and_keeps_a_share_of_them(caches, tmp_path):
+    export_network(train(quick(caches["sphere"], tmp_path / "first")), tmp_path / "start.npz", is_half=False)
+    start = weights(tmp_path / "first" / "best.pt")
+    begun = {"start": tmp_path / "start.npz", "epochs": 1}
+    still = train(quick(caches["sphere"], tmp_path / "still", learning_rate=0.0, **begun))
+    assert same_weights(start, weights(still))
+    kept = weights(train(quick(caches["sphere"], tmp_path / "kept", start_share=0.75, **begun)))
+    moved = weights(train(quick(caches["sphere"], tmp_path / "moved", **begun)))
+    assert not same_weights(start, moved)
+    for name, value in kept.items():
+        torch.testing.assert_close(value, 0.75 * start[name] + 0.25 * moved[name], rtol=0, atol=1e-6)
+
+
+def test_a_share_of_no_weights_or_weights_of_another_network_are_refused(caches, tmp_path):
+    with pytest.raises(ValueError, match="start_share"):
+        quick(caches["sphere"], tmp_path, start_share=0.5)
+    with pytest.raises(ValueError, match="expected weights of a network of the same"):
+        train(quick(caches["sphere"], tmp_path / "x", start=WEIGHTS_FOLDER / "lattice_hdr.npz"))
 
 
 @pytest.mark.parametrize("n_steps", [1, 5])

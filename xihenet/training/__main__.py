@@ -111,6 +111,9 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
         dest="is_relative",
         help="count each error relative to the size of its light",
     )
+    add("--start", type=Path, metavar="WEIGHTS", help="weights to begin with, an .npz file (lattice); default: random")
+    add("--start-share", type=float, default=0.0, metavar="SHARE",
+        help="share of the weights of --start in the network that is kept")  # fmt: skip
     add("--device", default="cpu", metavar="NAME", help="device that torch trains on, such as cuda")
     add("--rooms", type=int, metavar="N", help="train on the first N rooms alone, for learning curves")
     add("--keep-unset-at-origin", action="store_true",

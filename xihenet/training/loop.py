@@ -64,6 +64,8 @@ class TrainSettings:
     # Of each cloud divided by the mean size of its light and of the truth, so that the brightest do not rule the rest.
     is_relative: bool = False
     hidden_share: float = 0.3  # share of the training clouds of which a random cap is hidden, see `hide_caps`
+    start: Path | None = None  # weights to begin with, as estimators read them (lattice); None for random ones
+    start_share: float = 0.0  # of them in the weights that are judged and kept: between both may be better than either
     n_rooms: int | None = None  # train on the clouds of the first rooms alone, for learning curves; None for all
     options: Mapping[str, object] = field(default_factory=dict)  # of the network's architecture
     device: str = "cpu"
@@ -73,6 +75,8 @@ class TrainSettings:
             raise ValueError(f"target: expected 'ldr' or 'hdr', got {self.target!r}")
         if min(self.epochs, self.batch_size, self.patience) < 1 or not 0 <= self.ema < 1:
             raise ValueError("training: expected at least one epoch, cloud and epoch of patience, and 0 <= ema < 1")
+        if not 0 <= self.start_share < 1 or (self.start_share and self.start is None):
+            raise ValueError("start_share: expected at least 0 and less than 1, and weights to begin with")
 
     def decisive(self) -> dict[str, str]:
         """What must be the same for a stopped training to be taken up."""
@@ -187,6 +191,8 @@ def _start_or_resume(settings: TrainSettings) -> _Run:
     torch.manual_seed(settings.seed)
     options = networks.options_for(settings.estimator, settings.target) | dict(settings.options)
     net = networks.make_network(settings.estimator, **options).to(settings.device)
+    if settings.start is not None:
+        networks.take_weights(net, settings.start)
     optimiser = torch.optim.AdamW(
         net.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, foreach=False
     )
@@ -248,14 +254,17 @@ def _learning_rate(step: int, n_steps: int, highest: float) -> float:
 
 
 def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, yardstick: float) -> None:
-    """Validate the moving average, note it in the history, and keep it if it is the best so far."""
-    light, _ = networks.predict(run.average, held_out, settings.target, settings.device)
+    """Validate the moving average, with its share of the start, note it in the history, and keep the best so far."""
+    judged_net = copy.deepcopy(run.average)
+    if settings.start is not None:
+        networks.take_weights(judged_net, settings.start, settings.start_share)
+    light, _ = networks.predict(judged_net, held_out, settings.target, settings.device)
     rmse = float(np.sqrt(np.mean((light - held_out.truth(settings.target)) ** 2, dtype=np.float64)))
     judged = {"validation_rmse": rmse, "validation_ratio": rmse / yardstick}
     run.history.append({"epoch": run.epoch, "loss": loss, **judged, "rate": run.optimiser.param_groups[0]["lr"]})
     if rmse < run.best_rmse:
         run.best_rmse, run.best_epoch = rmse, run.epoch
-        trained = networks.TrainedNetwork(settings.estimator, settings.target, settings.seed, run.average)
+        trained = networks.TrainedNetwork(settings.estimator, settings.target, settings.seed, judged_net)
         networks.save_network(settings.out / "best.pt", trained)
 
 

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from xihenet.codec import facing_of_codes
 from xihenet.estimators.base import Target
-from xihenet.estimators.lattice_format import LatticeArchitecture
+from xihenet.estimators.lattice_format import LatticeArchitecture, load_weights
 from xihenet.estimators.pointconv_network import PointConvArchitecture
 from xihenet.estimators.weights_format import NetworkWeights, save_weights
 from xihenet.nets.lattice import LatticeNet
@@ -61,6 +61,19 @@ def make_network(estimator: str, **options: Any) -> nn.Module:
     if estimator == "lattice":
         return LatticeNet(LatticeArchitecture(**options))
     return PointConvNet(PointConvArchitecture(**options))
+
+
+def take_weights(net: nn.Module, path: Path, share: float = 1.0) -> None:
+    """Give a lattice network the weights in `path`, an .npz, or a `share` of them beside its own.
+
+    ValueError if they are of another network.
+    """
+    stored = load_weights(path)
+    if not isinstance(net, LatticeNet) or stored.architecture != net.architecture:
+        raise ValueError(f"{path}: expected weights of a network of the same kind and target")
+    with torch.no_grad():
+        for name, own in net.state_dict().items():
+            own.lerp_(torch.from_numpy(stored.arrays[name]).to(own.device), share)
 
 
 def options_for(estimator: str, target: Target) -> dict[str, object]:
