@@ -48,13 +48,15 @@ def finished(steps):
 
 
 def assert_same(found, expected):
+    """Up to rounding: this process may add in other threads than a helper, which has one."""
     assert list(found) == list(expected)
     for name, light in found.items():
         alone = expected[name]
-        assert (light.coverage, light.expected_error) == (alone.coverage, alone.expected_error)
-        assert light.was_in_view == alone.was_in_view
+        assert (light.coverage, light.was_in_view) == (alone.coverage, alone.was_in_view)
         for frame, sh in light.sh.items():
-            np.testing.assert_array_equal(sh, alone.sh[frame])
+            np.testing.assert_allclose(sh, alone.sh[frame], rtol=0, atol=1e-6 * np.abs(sh).max())
+        errors = [np.array(list(one.expected_error.values()), float) for one in (light, alone)]  # NaN for None
+        np.testing.assert_allclose(*errors, rtol=1e-5)
 
 
 @pytest.fixture
@@ -62,7 +64,7 @@ def one_after_the_other(walk, places):
     return finished(walk.find_light(places))
 
 
-def test_a_helper_alone_finds_the_same_light_to_the_last_bit(walk, places, one_after_the_other):
+def test_a_helper_alone_finds_the_same_light(walk, places, one_after_the_other):
     names, found = list(places), {}
     batches = deque(names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE))
     with helper(pickle.dumps(walk), places, batches, found) as thread:
