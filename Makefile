@@ -22,12 +22,12 @@ previs: $(VENV)/installed
 	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
 
 # A process per core, and in each one thread for matrices, or they wait for each other. A file's tests stay together, since
-# they share what its fixtures made.
+# they share what its fixtures made; files keep their order, in which those that render come first and none is left to the end.
 test: $(VENV)/installed
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 test-fast: $(VENV)/installed
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "not slow"
 
 hard-cases: $(VENV)/installed
 	$(BIN)/python -m pytest --quiet --catalogue addon_tests/pure/hard_cases addon_tests/in_blender/hard_cases
