@@ -168,9 +168,12 @@ def test_the_last_position_is_by_a_lit_lamp():
 
 def test_a_room_that_is_nearly_black_is_drawn_again(monkeypatch):
     drawn = []
-    monkeypatch.setattr(
-        render_room, "sample_room", lambda rng, **how: drawn.append(sample_room(rng, **how)) or drawn[-1]
-    )
+
+    def noted(rng, **how):
+        drawn.append(sample_room(rng, **how))
+        return drawn[-1]
+
+    monkeypatch.setattr(render_room, "sample_room", noted)
     tiny = RoomRenderSettings((16, 12), 1, 16, 1, 16)
     first = make_room(0, 0, tiny)
     assert len(drawn) == 1

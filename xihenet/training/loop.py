@@ -255,8 +255,9 @@ def _learning_rate(step: int, n_steps: int, highest: float) -> float:
 
 def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, yardstick: float) -> None:
     """Validate the moving average, with its share of the start, note it in the history, and keep the best so far."""
-    judged_net = copy.deepcopy(run.average)
+    judged_net = run.average
     if settings.start is not None:
+        judged_net = copy.deepcopy(run.average)
         networks.take_weights(judged_net, settings.start, settings.start_share)
     light, _ = networks.predict(judged_net, held_out, settings.target, settings.device)
     rmse = float(np.sqrt(np.mean((light - held_out.truth(settings.target)) ** 2, dtype=np.float64)))
