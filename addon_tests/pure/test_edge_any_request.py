@@ -6,6 +6,7 @@
 import contextlib
 import os
 import re
+import select
 import socket
 
 import numpy as np
@@ -40,24 +41,31 @@ def requests(port):
     return right_requests(published["sid"], opened["session"], opened["token"])
 
 
-def answer_to(port, sent):
-    """Its first bytes; empty where nothing comes, as after a request that is cut."""
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as connection:
-        received = b""
-        with contextlib.suppress(ConnectionError, TimeoutError):
-            connection.sendall(sent)
-            connection.settimeout(0.1)
-            while len(received) < 13 and (part := connection.recv(65536)):
-                received += part
-        return received
+def answers_to(port, requests):
+    """The first bytes of each, on a connection of its own; empty where nothing comes, as after a request that is cut."""
+    with contextlib.ExitStack() as stack:
+        connections = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10)) for _ in requests]
+        for connection, sent in zip(connections, requests, strict=True):
+            with contextlib.suppress(ConnectionError, TimeoutError):
+                connection.sendall(sent)
+        received, waiting = dict.fromkeys(connections, b""), set(connections)
+        # What is silent is waited for once, and not one after the other.
+        while waiting and (ready := select.select(waiting, [], [], 0.1)[0]):
+            for connection in ready:
+                part = b""
+                with contextlib.suppress(ConnectionError):
+                    part = connection.recv(65536)
+                received[connection] += part
+                if not part or len(received[connection]) >= 13:
+                    waiting.remove(connection)
+        return list(received.values())
 
 
 @some_examples()
 @given(seed=st.integers(0, 2**32 - 1))
 def test_whatever_arrives_is_answered_or_refused_and_the_service_goes_on(port, requests, seed):
     rng = np.random.default_rng(seed)
-    for _ in range(REQUESTS_OF_AN_EXAMPLE):
-        answer = answer_to(port, any_request(rng, requests))
+    for answer in answers_to(port, [any_request(rng, requests) for _ in range(REQUESTS_OF_AN_EXAMPLE)]):
         assert re.match(rb"HTTP/1\.1 (100|20[014]|40[013459]|413|415|503) |$", answer), answer[:200]
     status, metrics, _ = asked(port, "GET", "/metrics")
     assert status == 200 and not re.search(r'status="5(?!03)', metrics)

@@ -1,6 +1,7 @@
 """Rooms of the two packages, and which of them may import which: what is not in the table is an error, circles too."""
 
 import ast
+import functools
 import importlib
 import re
 import subprocess
@@ -47,13 +48,16 @@ BLENDER = {"bpy", "bmesh", "mathutils", "bpy_extras"}
 TORCH_ROOMS = {"nets", "training", "edge"}
 
 
-def imported(source: str) -> Iterator[str]:
+@functools.cache
+def imported(source: str) -> list[str]:
     """What a file imports, anywhere in it: "numpy.typing.NDArray" for `from numpy.typing import NDArray`."""
+    found: list[str] = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from (name.name for name in node.names)
+            found += (name.name for name in node.names)
         elif isinstance(node, ast.ImportFrom) and not node.level:
-            yield from (f"{node.module}.{name.name}" for name in node.names)
+            found += (f"{node.module}.{name.name}" for name in node.names)
+    return found
 
 
 def packages(file: Path) -> set[str]:

@@ -1,5 +1,6 @@
 """Rooms as data: what is sampled could stand in a house."""
 
+import functools
 import itertools
 
 import numpy as np
@@ -15,21 +16,30 @@ from xihe_blender.lab.rooms.rooms import is_by_day, is_varied, room_generator, s
 from xihe_blender.lab.rooms.varied_rooms import CLUTTER, SIZES, sample_varied_room
 from xihenet.training.rooms import split_of
 
-N_SEEDS = 200
-ROOMS = [sample_room(room_generator(7, i)) for i in range(N_SEEDS)]
-VARIED = [sample_varied_room(room_generator(8, i)) for i in range(60)]
+N_SEEDS, N_VARIED = 200, 60
 PLANS = [box_plan(4, 3), l_plan(5, 4, (2, 1.5)), alcove_plan(4, 3, (-1, 1), 0.8)]
 
 
-@pytest.fixture(params=ROOMS + VARIED, ids=range(N_SEEDS + len(VARIED)))
+@functools.cache
+def usual_rooms() -> list[Room]:
+    """Not drawn where tests are only collected, which every process does."""
+    return [sample_room(room_generator(7, i)) for i in range(N_SEEDS)]
+
+
+@functools.cache
+def varied_rooms() -> list[Room]:
+    return [sample_varied_room(room_generator(8, i)) for i in range(N_VARIED)]
+
+
+@pytest.fixture(params=range(N_SEEDS + N_VARIED))
 def room(request: pytest.FixtureRequest) -> Room:
-    return request.param
+    return (usual_rooms() + varied_rooms())[request.param]
 
 
 def test_a_room_is_the_same_when_it_is_drawn_again_and_differs_from_others():
-    assert [sample_room(room_generator(7, i)) for i in range(20)] == ROOMS[:20]
-    assert [sample_varied_room(room_generator(8, i)) for i in range(5)] == VARIED[:5]
-    assert len({room.outline for room in ROOMS}) == N_SEEDS
+    assert [sample_room(room_generator(7, i)) for i in range(20)] == usual_rooms()[:20]
+    assert [sample_varied_room(room_generator(8, i)) for i in range(5)] == varied_rooms()[:5]
+    assert len({room.outline for room in usual_rooms()}) == N_SEEDS
 
 
 def test_furniture_stands_inside_the_room(room):
@@ -84,11 +94,11 @@ def test_lamps_hang_or_stand_inside_the_room(room):
 
 
 def test_all_shapes_and_hours_occur():
-    corners = {len(room.outline.corners) for room in ROOMS}
+    corners = {len(room.outline.corners) for room in usual_rooms()}
     assert corners == {4, 6, 8}
-    assert {len(room.slopes) for room in ROOMS} == {0, 1, 2}
-    assert {room.regime for room in ROOMS} == {"day", "sunny", "mixed", "evening", "night"}
-    assert len({room.kind for room in ROOMS}) == 8
+    assert {len(room.slopes) for room in usual_rooms()} == {0, 1, 2}
+    assert {room.regime for room in usual_rooms()} == {"day", "sunny", "mixed", "evening", "night"}
+    assert len({room.kind for room in usual_rooms()}) == 8
 
 
 def test_half_of_the_rooms_by_day_have_a_sun_from_hazy_to_far_brighter_than_the_sky():
@@ -100,11 +110,11 @@ def test_half_of_the_rooms_by_day_have_a_sun_from_hazy_to_far_brighter_than_the_
 
 
 def test_varied_rooms_have_all_sizes_clutter_and_lamps_and_some_have_windows_alone():
-    assert {room.kind for room in VARIED} == {f"varied {kind}" for kind in SIZES}
-    assert {piece.kind for room in VARIED for piece in room.pieces} >= set(CLUTTER)
-    assert {lamp.kind for room in VARIED for lamp in room.lamps} >= {"spot", "strip", "bulb", "candle", "floor"}
-    assert 5 < sum(not any(lamp.watts > 0 for lamp in room.lamps) for room in VARIED) < 25
-    assert max(len(room.pieces) for room in VARIED) > 100
+    assert {room.kind for room in varied_rooms()} == {f"varied {kind}" for kind in SIZES}
+    assert {piece.kind for room in varied_rooms() for piece in room.pieces} >= set(CLUTTER)
+    assert {lamp.kind for room in varied_rooms() for lamp in room.lamps} >= {"spot", "strip", "bulb", "candle", "floor"}
+    assert 5 < sum(not any(lamp.watts > 0 for lamp in room.lamps) for room in varied_rooms()) < 25
+    assert max(len(room.pieces) for room in varied_rooms()) > 100
 
 
 def test_training_rooms_alone_are_varied_and_a_larger_share_adds_to_a_smaller_one():
