@@ -4,6 +4,18 @@ import pytest
 from previs_runs import QuickPrevis, finished_run
 from tiny_scenes import room_with_a_virtual_sphere, saved
 
+from xihe_blender.capture.scanner import meter_exposure
+from xihe_blender.previs.settings import PrevisSettings
+
+
+@pytest.fixture(scope="session", autouse=True)
+def coarse_metering():
+    """An exposure is metered in this process with few rays: no test asks how little noise it has."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(meter_exposure.__kwdefaults__, "samples", 2)
+        patch.setattr(PrevisSettings, "metering_samples", 2)
+        yield
+
 
 @pytest.fixture(scope="module")
 def small_light_probes():

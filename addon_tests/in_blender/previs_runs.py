@@ -18,9 +18,7 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 
 @dataclass(frozen=True)
 class QuickPrevis(PrevisSettings):
-    """Light probes of a fortieth of the rays, not denoised, and metering of a sixteenth: for tests about neither."""
-
-    metering_samples = 2
+    """Light probes of a fortieth of the rays, not denoised: for tests that are not about them."""
 
     @property
     def reference(self):

@@ -127,7 +127,7 @@ def test_the_views_see_the_room_they_stand_in(room):
     assert (inside & (points[:, 2] > -0.02) & (points[:, 2] < plan.height + 0.02)).mean() > 0.99
 
 
-@pytest.fixture(params=range(6))
+@pytest.fixture(scope="module", params=range(6))
 def places(request):
     return places_of(request.param)
 
