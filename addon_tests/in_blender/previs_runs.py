@@ -18,11 +18,14 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 
 @dataclass(frozen=True)
 class QuickPrevis(PrevisSettings):
-    """Light probes of a fortieth of the rays, not denoised: for tests that are not about them."""
+    """Light probes of a hundredth of the rays, comparisons of a quarter, neither denoised: for tests about neither."""
 
     @property
     def reference(self):
-        return replace(super().reference, size=48, max_samples=2, denoise=False)
+        return replace(super().reference, size=24, max_samples=2, denoise=False)
+
+    def comparison(self, size):
+        return replace(super().comparison(size), samples=2, denoise=False)
 
 
 DRAFT = {"preset": "draft", "size": (32, 24)}
