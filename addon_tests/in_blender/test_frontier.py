@@ -24,6 +24,7 @@ from xihe_blender.lab.frontier.records import ChoiceSettings, Frontier, Frontier
 from xihe_blender.lab.frontier.rendering import kept_round
 from xihe_blender.lab.frontier.report import pareto_plot
 from xihe_blender.lab.frontier.study import frontier, kept_preparation, kept_truths, survey_scene
+from xihe_blender.previs.settings import PRESETS
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.json_files import read_json
 from xihenet.pareto import on_front
@@ -66,9 +67,14 @@ def test_a_family_differs_in_one_choice_and_no_other():
 
 
 @pytest.fixture(scope="module", autouse=True)
-def small_light_probes():
+def few_rays():
+    """Light probes and pictures of few rays: what is asked is not how good they are."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("xihe_blender.lab.frontier.study.ProbeSettings", partial(ProbeSettings, size=48))
+        patch.setattr("xihe_blender.lab.frontier.study.ProbeSettings", partial(ProbeSettings, size=24))
+        patch.setattr("xihe_blender.lab.frontier.pictures.LADDER", (1, 3))
+        for name, samples in (("draft", 1), ("balanced", 2), ("accurate", 4)):
+            few = replace(PRESETS[name], comparison_samples=samples, min_samples=samples, max_samples=samples)
+            patch.setitem(PRESETS, name, few)
         yield
 
 

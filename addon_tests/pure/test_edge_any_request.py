@@ -42,7 +42,7 @@ def requests(port):
 
 
 def answers_to(port, requests):
-    """The first bytes of each, on a connection of its own; empty where nothing comes, as after a request that is cut."""
+    """The first bytes of each, on its own connection; empty where nothing comes, as after a request that is cut."""
     with contextlib.ExitStack() as stack:
         connections = [stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=10)) for _ in requests]
         for connection, sent in zip(connections, requests, strict=True):
