@@ -1,7 +1,6 @@
 """The add-on registered for a test, with preferences, and a run from its panel on the tiny room."""
 
 import contextlib
-from dataclasses import replace
 
 import bpy
 import pytest
@@ -59,12 +58,12 @@ def walk_for_the_panel(runs_folder, **settings):
     return scene
 
 
-def lit_walk(out, **settings):
+def lit_walk(out, settings=SMALL):
     """`out`, with a small run of `walk`, and `after.blend`, which shows its light. For a registered add-on."""
     from xihe_blender.addon.results_in_blender import show_results
 
     scene = walk()
-    run(scene, out, replace(SMALL, **settings))
+    run(scene, out, settings)
     scene.xihe.run_folder = str(out)
     show_results(scene, out)
     saved(out / "after.blend")

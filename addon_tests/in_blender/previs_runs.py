@@ -17,12 +17,17 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 
 
 @dataclass(frozen=True)
-class QuickPrevis(PrevisSettings):
-    """Light probes of a hundredth of the rays, comparisons of a quarter, neither denoised: for tests about neither."""
+class QuickProbes(PrevisSettings):
+    """Light probes of a hundredth of the rays, not denoised: for tests that are not about them."""
 
     @property
     def reference(self):
         return replace(super().reference, size=24, max_samples=2, denoise=False)
+
+
+@dataclass(frozen=True)
+class QuickPrevis(QuickProbes):
+    """Comparisons of a quarter of the rays as well, not denoised: for tests that do not look at the pictures."""
 
     def comparison(self, size):
         return replace(super().comparison(size), samples=2, denoise=False)

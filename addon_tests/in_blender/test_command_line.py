@@ -10,7 +10,7 @@ import subprocess
 
 import bpy
 import pytest
-from previs_runs import N_FRAMES, files_below, unfinished_files, walk
+from previs_runs import N_FRAMES, QuickProbes, files_below, unfinished_files, walk
 from results_schema import check_results, read_strictly, without_times
 from tiny_scenes import saved
 from xihe_process import ROOT, assert_refused, said, typed, xihe, xihe_here
@@ -18,7 +18,6 @@ from xihe_process import ROOT, assert_refused, said, typed, xihe, xihe_here
 from xihenet import __version__
 
 DRAFT = ("--preset", "draft", "--size", "32x24", "--samples", "2", "--exposure", "1")
-pytestmark = pytest.mark.usefixtures("small_light_probes")
 PAGE = resource.getpagesize()
 """Files in memory take whole ones."""
 
@@ -30,6 +29,14 @@ source = "a guess"
 nearest_m = 0.0
 farthest_m = "far"
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_probes():
+    """Commands in this process render light probes of few rays; comparisons are those of a process of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xihe_blender.previs.settings.PrevisSettings", QuickProbes)
+        yield
 
 
 def previs(blend, out, *arguments, run=xihe_here):

@@ -65,7 +65,8 @@ def test_the_panels_edge_server_estimates_and_its_state_is_in_the_results(tmp_pa
     assert previs_settings(scene).backend is None
 
 
-def test_an_edge_server_that_is_not_there_is_one_line(tmp_path, addon_for_small_runs):
+def test_an_edge_server_that_is_not_there_is_one_line(tmp_path, addon_for_small_runs, monkeypatch):
+    monkeypatch.setattr("xihenet.edge.connection.time.sleep", lambda _: None)
     with EdgeServer() as server:
         url = f"http://127.0.0.1:{server.port}"
     walk_for_the_panel(tmp_path / "runs", estimator="lattice", uses_edge_server=True, edge_server=url)

@@ -44,7 +44,6 @@ NOISY = replace(QUICK, samples=1)
 """For tests that hold budgets against each other, or against files, and ask for no order of parts."""
 
 
-
 def budget(scene, out, settings=QUICK, n_moments=2, n_seeds=1):
     return run_blocking(error_budget(scene, out, settings, n_moments=n_moments, n_seeds=n_seeds))
 

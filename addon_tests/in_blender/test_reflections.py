@@ -41,7 +41,7 @@ def glossy_table(dims):
 
 def captures(dims):
     scene = glossy_table(dims)
-    with open_scanner(scene, RenderSettings((64, 48), samples=16)) as scanner:
+    with open_scanner(scene, RenderSettings((48, 36), samples=8)) as scanner:
         scanner.exposure = meter_exposure(scene, [1, 2])
         for frame in range(1, N_FRAMES + 1):
             scanner.move_to(frame)

@@ -125,7 +125,7 @@ def relative_error(lights, reference):
 def test_the_noise_is_what_was_expected_and_within_the_target():
     scene = one_thread(room_with_a_virtual_sphere(24, is_still=True))
     look_at(scene.camera, (-1.2, -1.5, 1.5), (0, 0, 0.85))
-    settings = PrevisSettings(preset="draft", size=(64, 48), exposure=1.0, noise_target=0.05)
+    settings = PrevisSettings(preset="draft", size=(32, 24), exposure=1.0, noise_target=0.05)
     plan, survey = surveyed(scene, settings)
     sample_count = measure_sample_count(scene, plan, survey, settings, 1.0)
     lights = lights_in(scene, plan, settings, 8, sample_count.capture_samples, range(100, 106))
