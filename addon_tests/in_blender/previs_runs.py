@@ -18,16 +18,20 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 
 @dataclass(frozen=True)
 class QuickProbes(PrevisSettings):
-    """Light probes of a hundredth of the rays, not denoised: for tests that are not about them."""
+    """Light probes of a fortieth of the rays, not denoised: for tests that are not about them."""
 
     @property
     def reference(self):
-        return replace(super().reference, size=24, max_samples=2, denoise=False)
+        return replace(super().reference, size=48, max_samples=2, denoise=False)
 
 
 @dataclass(frozen=True)
 class QuickPrevis(QuickProbes):
-    """Comparisons of a quarter of the rays as well, not denoised: for tests that do not look at the pictures."""
+    """Light probes of a quarter of these, and comparisons, not denoised: for tests that look at neither closely."""
+
+    @property
+    def reference(self):
+        return replace(super().reference, size=24)
 
     def comparison(self, size):
         return replace(super().comparison(size), samples=2, denoise=False)

@@ -23,7 +23,7 @@ from tiny_scenes import (
 )
 
 from xihe_blender.capture.render import RenderSettings, working_scene
-from xihe_blender.capture.scanner import meter_exposure, open_scanner, phone_camera, sized_for
+from xihe_blender.capture.scanner import METERING_SAMPLES, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihenet.camera import KEY_LUMINANCE, ray_distance_from_plane_depth, unproject_frame
 
@@ -182,10 +182,10 @@ def test_highlights_in_view_are_protected():
     scene = room_with_a_virtual_sphere(1)
     box(scene, "Panel", (0, 0.3, 0.9), (0.3, 0.02, 0.3), material("Panel", (1, 1, 1), 3.0))
     with open_scanner(scene, SMALL) as scanner:
-        scanner.exposure = meter_exposure(scene, [1])
+        scanner.exposure = meter_exposure(scene, [1], samples=METERING_SAMPLES)
         scanner.move_to(1)
         frame = scanner.acquire_environment_scan()
-    assert scanner.exposure < meter_exposure(scene, [1], metering="key")
+    assert scanner.exposure < meter_exposure(scene, [1], metering="key", samples=METERING_SAMPLES)
     assert (frame.srgb_u8 == 255).any(axis=-1).mean() <= 0.02
 
 

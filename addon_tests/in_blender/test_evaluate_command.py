@@ -57,7 +57,7 @@ def test_one_worker_comes_to_the_same_bytes_and_does_nothing_again(done, tmp_pat
     shutil.copytree(out, tmp_path / "copy")
     missing = next((tmp_path / "copy").rglob("as_good_*"))
     shutil.rmtree(missing)
-    told = xihe("evaluate", files[0], files[3], "--out", tmp_path / "copy", *TINY, "--workers", "1")
+    told = xihe_here("evaluate", files[0], files[3], "--out", tmp_path / "copy", *TINY, "--workers", "1")
     assert told.returncode == 0 and "1 of them done now" in told.stdout, told.stderr
     assert missing.exists()
     for table in ("trials.csv", "frames.csv"):

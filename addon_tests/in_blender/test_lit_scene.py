@@ -1,6 +1,6 @@
 """The scene `Xihe Lit`: in the .blend that a run saves, whose light is that of results.json, and in the open file."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from addon_runs import poll_message, registered_addon
 from mathutils import Matrix
-from previs_runs import N_FRAMES, SMALL, run, walk
+from previs_runs import DRAFT, N_FRAMES, QuickProbes, run, walk
 from renders import pixels_of_file
 from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed, shown_light
@@ -24,7 +24,7 @@ from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.key_light import rest_of
 
-SETTINGS = replace(SMALL, estimator="projection", samples=64)
+SETTINGS = QuickProbes(**DRAFT, estimator="projection", samples=64)
 
 
 @dataclass

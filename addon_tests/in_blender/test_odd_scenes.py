@@ -6,7 +6,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from previs_runs import SMALL, run, walk
+from previs_runs import DRAFT, SMALL, QuickProbes, run, walk
 from results_schema import without_times
 from tiny_scenes import empty_scene, room_with_a_virtual_sphere, saved, sphere
 
@@ -31,7 +31,7 @@ from xihenet.controller import ControllerSettings
 from xihenet.effects import names_that_are_on
 from xihenet.estimators import load
 
-EXACT = replace(SMALL, exposure=0.5, samples=64)
+EXACT = QuickProbes(**DRAFT, exposure=0.5, samples=64)
 
 
 def assert_refused(scene, out, *words, settings=SMALL):
