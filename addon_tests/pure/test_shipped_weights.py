@@ -92,27 +92,33 @@ def test_the_expected_error_is_that_of_rooms_made_by_others(target):
         assert float(share) - 0.06 < np.mean(made <= multiple * expected) <= 1
 
 
+@cache
+def turned_clouds():
+    """Of pairs of a view and a position: what is seen of the room, turned by each of `YAWS`."""
+    turned = []
+    for path in room_files(ROOMS)[:8]:
+        room = read_room(path)
+        pairs_in_view = np.argwhere(room.is_in_view)
+        for view, position in pairs_in_view[:: max(1, len(pairs_in_view) // 3)]:
+            seen, at = room.views[view], room.positions_m[position]
+            clouds = (RoomChange(yaw).of_cloud(seen, at, None) for yaw in YAWS)
+            turned.append([sample_unit_sphere(cloud, np.zeros(3), LATTICE) for cloud in clouds])
+    return turned
+
+
 @pytest.mark.parametrize(("target", "most"), [("ldr", 3), ("hdr", 4)])
 def test_turning_a_room_changes_the_light_little_more_than_sampling_it_anew_does(target, most):
     """Which `projection` shows, that knows no direction from another. 1.2 times is aimed at: a turned room is sampled
     anew, and the network makes more of a cell that is a little brighter, most where it takes it for a lamp.
     """
     far = {"lattice": [], "projection": []}
-    for path in room_files(ROOMS)[:8]:
-        room = read_room(path)
-        pairs_in_view = np.argwhere(room.is_in_view)
-        for view, position in pairs_in_view[:: max(1, len(pairs_in_view) // 3)]:
-            clouds = [
-                sample_unit_sphere(
-                    RoomChange(yaw).of_cloud(room.views[view], room.positions_m[position], None), np.zeros(3), LATTICE
-                )
-                for yaw in YAWS
-            ]
-            for name, changes in far.items():
-                plain, *others = (estimators.load(name, target=target).estimate(cloud) for cloud in clouds)
-                for yaw, light in zip(YAWS[1:], others, strict=True):
-                    back = rotate(light, rotation_about_vertical(-yaw))
-                    changes.append(rmse(back, plain) / np.sqrt(np.mean(plain**2)))
+    loaded = {name: estimators.load(name, target=target) for name in far}
+    for clouds in turned_clouds():
+        for name, changes in far.items():
+            plain, *others = (loaded[name].estimate(cloud) for cloud in clouds)
+            for yaw, light in zip(YAWS[1:], others, strict=True):
+                back = rotate(light, rotation_about_vertical(-yaw))
+                changes.append(rmse(back, plain) / np.sqrt(np.mean(plain**2)))
     assert len(far["lattice"]) > 100
     for share in (50, 95):
         assert np.percentile(far["lattice"], share) <= most * np.percentile(far["projection"], share)
