@@ -70,14 +70,14 @@ def test_the_expected_error_sends_no_gradient_into_the_light():
     assert reached == {"error.weight", "error.bias", "error_hidden.weight", "error_hidden.bias"}
 
 
-def test_the_lattice_network_can_learn_four_clouds_by_heart():
-    colours, distances, known = (torch.from_numpy(part[:4]) for part in clouds(512))
+def test_the_lattice_network_can_learn_eight_clouds_by_heart():
+    colours, distances, known = (torch.from_numpy(part[:8]) for part in clouds(512))
     torch.manual_seed(0)
-    truth = torch.randn(4, 9, 3) * 0.2
+    truth = torch.randn(8, 9, 3) * 0.2
     truth[:, 0] += 1.5
     net = LatticeNet()
     optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
-    for _ in range(300):
+    for _ in range(400):
         loss = (net(colours, distances, known)[0] - truth).square().mean()
         optimiser.zero_grad()
         loss.backward()
