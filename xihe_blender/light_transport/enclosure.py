@@ -179,7 +179,9 @@ def carried(solids: Solids, rays: Sequence[Ray], rng: np.random.Generator) -> tu
         if weight < 0.1 * LEFT_OUT * weights.sum():
             break
         drawn = rng.choice(len(hits), N_RAYS, p=albedos / albedos.sum())
-        rays = [(hits[k][0], _diffuse_direction(hits[k][1], rng)) for k in drawn]
+        # All at once: drawn one by one they took half of the time.
+        steps = rng.normal(size=(N_RAYS, 3)).tolist()
+        rays = [(hits[k][0], _diffuse_direction(hits[k][1], step)) for k, step in zip(drawn, steps, strict=True)]
     return weights, reached
 
 
@@ -210,9 +212,9 @@ def _next_surface(solids: Solids, ray: Ray) -> tuple[Vector, Vector, float] | No
     return None
 
 
-def _diffuse_direction(normal: Vector, rng: np.random.Generator) -> Vector:
-    """Cosine-distributed about `normal`: a point on the unit sphere that touches the surface."""
-    direction = normal + Vector(rng.normal(size=3)).normalized()
+def _diffuse_direction(normal: Vector, step: Sequence[float]) -> Vector:
+    """Cosine-distributed about `normal`, for a normally distributed `step`: a point on the sphere that touches there."""
+    direction = normal + Vector(step).normalized()
     return direction.normalized() if direction.length > 1e-6 else normal
 
 
