@@ -357,6 +357,7 @@ def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
 # ------------------------------------------------------------------------------------------------------------ run time
 
 
+@pytest.mark.slow
 @small_panel_runs()
 def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
     scene = walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=2)

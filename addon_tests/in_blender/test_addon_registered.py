@@ -33,6 +33,7 @@ def our_properties():
                 yield f"{kind.__name__}.{prop.identifier}", prop
 
 
+@pytest.mark.slow
 def test_three_times_on_and_off_leave_nothing():
     before = registered()
     for _ in range(3):

@@ -73,6 +73,7 @@ def colours(name):
 # ----------------------------------------------------------------------------------------------------------- the run
 
 
+@pytest.mark.slow
 def test_the_panels_run_has_the_numbers_of_the_function_and_leaves_the_scene_as_it_was(done, tmp_path):
     with_window = read_strictly(done[1] / "results.json")
     # What the panel has no setting for is the preset's.
@@ -271,6 +272,7 @@ def test_a_wipe_never_leaves_the_picture(wipe):
         wiped(estimate, truth[:1], wipe)
 
 
+@pytest.mark.slow
 def test_the_image_of_a_light_is_the_environment_it_stands_for():
     """The image in an Environment Texture lights what a camera sees as the coefficients say, in every direction."""
     scene = empty_scene()

@@ -52,6 +52,7 @@ def rendered_sphere(coefficients, exposure=1.0, samples=128):
     return rendered(scene, (SIDE, SIDE), samples)[inside], in_camera @ world_from_camera.T
 
 
+@pytest.mark.slow
 def test_radiance_that_is_negative_in_places_is_not_clamped():
     coefficients = np.random.default_rng(0).normal(size=(9, 3)) * 0.3
     coefficients[0] = 1.0

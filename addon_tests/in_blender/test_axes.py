@@ -96,6 +96,7 @@ def test_a_probe_close_above_a_surface_sees_it():
     assert panorama[middle + 3 :].min() > 0.7 and panorama[: middle - 3].max() < 0.05
 
 
+@pytest.mark.slow
 def test_the_targets_differ_only_where_light_is_brighter_than_white():
     scene = room_with_one_glowing_side(0, 1)
     dim, bright = (light_at(scene, POSITION, exposure).measured for exposure in (1.0, 5.0))

@@ -558,6 +558,7 @@ def test_the_operator_imports_and_undo_takes_it_back(tmp_path):
     assert len(bpy.types.TOPBAR_MT_file_import._dyn_ui_initialize()) == n_items - 1
 
 
+@pytest.mark.slow
 def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd):
     recording, blend = recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path / "room.blend"
     assert main(["import", str(recording), "--out", str(blend)]) == 0
@@ -581,6 +582,7 @@ def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd):
     assert "composited.mp4" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(tmp_path):
     recording = recorded(tmp_path / "walk", lamp_walk(SMALL))
     with registered_addon():

@@ -141,6 +141,7 @@ def test_frames_objects_estimator_and_exposure_can_be_chosen(folder, tmp_path):
     assert (settings["estimator"], settings["reference_exposure"], settings["target"]) == ("ambient", 1.5, "hdr")
 
 
+@pytest.mark.slow
 def test_version_and_help_are_no_errors():
     assert xihe("--version").stdout == f"xihe {__version__}\n"
     for arguments in (("--help",), ("previs", "--help")):
@@ -187,6 +188,7 @@ def assert_goes_on(folder, finished, out, run=xihe_here):
 
 
 # To its end, `xihe` runs but once in a process of its own, where a warning anywhere is an error: in the last steps.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("doing", "first_missing"), [("capturing frame 2", None), ("comparing frame 1", "radiance/ground_truth_0001.exr")]
 )
@@ -207,6 +209,7 @@ def test_a_run_stopped_by_ctrl_c_goes_on_with_the_same_command(folder, finished,
     assert {path: time for path, time in files_below(out).items() if path in before} == before
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_with_the_same_command(folder, finished, tmp_path):
     code, stdout, _ = stopped(folder / "walk.blend", tmp_path, "capturing frame 4", signal.SIGKILL)
     assert (code, stdout) == (-signal.SIGKILL, "")
@@ -270,6 +273,7 @@ def test_a_full_disk_is_refused_before_anything_is_rendered(folder, tmp_path):
         assert not files_below(tmp_path / "out")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("full_at", ["work/capture_0002.exr", "radiance/probe_0_Ball_0001.exr", "walk_lit.blend"])
 def test_a_disk_that_fills_up_leaves_nothing_half_written(folder, finished, tmp_path, tmp_path_factory, full_at):
     staged, out = tmp_path_factory.mktemp("staged"), tmp_path / "out"
@@ -376,6 +380,7 @@ def test_a_mistake_is_one_line_that_names_the_fix_and_leaves_nothing(folder, tmp
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_file_in_the_way_is_named(folder, finished, tmp_path):
     made = files_below(finished[1])
     written_before(finished, min((path for path in made if path.startswith("pictures/")), key=made.get), tmp_path)

@@ -52,6 +52,7 @@ def built(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_room_has_the_same_bytes_in_any_process_and_order(rooms, built, tmp_path):
     for index, room in enumerate(rooms):
         save_room(tmp_path / "here.npz", room)
@@ -154,6 +155,7 @@ def test_where_the_sun_shines_in_half_of_the_positions_are_in_it(index):
     assert are_sunlit[:N_SUNLIT] == [True] * N_SUNLIT
 
 
+@pytest.mark.slow
 def test_the_last_position_is_by_a_lit_lamp():
     near, drawn = [], 0
     for index in range(12):
@@ -166,6 +168,7 @@ def test_the_last_position_is_by_a_lit_lamp():
     assert np.mean(near) >= 0.8, "where no surface near a lamp is free, the position is elsewhere"
 
 
+@pytest.mark.slow
 def test_a_room_that_is_nearly_black_is_drawn_again(monkeypatch):
     drawn = []
 
@@ -207,6 +210,7 @@ def test_nothing_piles_up_from_room_to_room():
     assert n_blocks() == first
 
 
+@pytest.mark.slow
 def test_all_that_a_varied_room_holds_is_built_and_visible_lamps_are_seen():
     rooms = [sample_varied_room(room_generator(8, i)) for i in range(4)]
     assert {piece.kind for room in rooms for piece in room.pieces} >= {"post", "stairs", "partition"}
@@ -220,6 +224,7 @@ def test_all_that_a_varied_room_holds_is_built_and_visible_lamps_are_seen():
         assert lit.items() <= lights.items()
 
 
+@pytest.mark.slow
 def test_a_second_build_makes_what_is_missing_alone(built):
     before = files_below(built)
     assert run_blocking(build_dataset(built, small_build(2))) == 0 and files_below(built) == before
@@ -230,6 +235,7 @@ def test_a_second_build_makes_what_is_missing_alone(built):
     assert {name for name, time in files_below(built).items() if before[name] != time} == {room_path(built, 0).name}
 
 
+@pytest.mark.slow
 def test_a_killed_worker_leaves_whole_files_alone(tmp_path):
     command = [*module_command("xihe_blender.lab.rooms.worker"), "--out", str(tmp_path), "--seed", "5"]
     command += ["--rooms", ",".join(map(str, range(50))), "--settings", *map(str, SMALL.numbers)]
@@ -245,6 +251,7 @@ def test_a_killed_worker_leaves_whole_files_alone(tmp_path):
         assert load_room(room_path(tmp_path, index)).seed.tolist() == [5, index]
 
 
+@pytest.mark.slow
 def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path):
     job = build_dataset(tmp_path, small_build(30))
     for progress in job:
@@ -273,6 +280,7 @@ def test_only_training_rooms_are_lit_by_fewer_rays():
     assert RoomRenderSettings.of(settings.numbers) == settings and settings.numbers == BuildSettings(1).render
 
 
+@pytest.mark.slow
 def test_what_a_failing_worker_said_is_passed_on(tmp_path):
     with pytest.raises(UserError, match="expected 6 arguments"):
         run_blocking(build_dataset(tmp_path, replace(small_build(1), render=SMALL.numbers[:4])))

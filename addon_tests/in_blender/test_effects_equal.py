@@ -69,6 +69,7 @@ def test_an_effect_that_a_scene_calls_for_is_missed_when_it_is_switched_off(effe
     assert not found.holds, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("albedo", "missing"), [(0.5, 0.02), (0.8, 0.05)])
 def test_in_a_closed_bright_room_the_plan_cuts_no_bounce_that_shows_and_two_are_missed(albedo, missing):
     scene = bright_room(albedo)

@@ -75,6 +75,7 @@ def test_a_budget_has_every_part_and_leaves_the_scene_as_it_was(tmp_path):
     assert unfinished_files(out) == []
 
 
+@pytest.mark.slow
 def test_the_light_in_force_is_that_of_a_run(tmp_path):
     scene = room_with_a_virtual_sphere(3)
     (item,) = budget(scene, tmp_path / "budget", NOISY, n_moments=1).objects
@@ -103,6 +104,7 @@ def test_a_budget_that_is_stopped_goes_on_and_a_finished_one_renders_nothing(tmp
     assert budget(scene, tmp_path / "whole", NOISY, n_moments=1, n_seeds=2).objects == resumed.objects
 
 
+@pytest.mark.slow
 def test_a_budget_is_the_mean_over_its_seeds_and_says_how_sure_each_part_is(tmp_path):
     scene = room_with_a_virtual_sphere(2)
     both = budget(scene, tmp_path / "both", NOISY, n_moments=1, n_seeds=2)
@@ -156,6 +158,7 @@ def test_a_lamp_behind_the_phone_is_a_matter_of_where_it_looks(tmp_path):
     assert abs(found["clipping"]) < 0.2 * found["coverage"]
 
 
+@pytest.mark.slow
 def test_a_slow_network_and_a_light_that_changes_put_delay_first(tmp_path):
     scene = room_with_a_virtual_sphere(4, is_still=True)
     look_at(scene.camera, (-1.2, -1.5, 1.5), (0, 0, 0.85))

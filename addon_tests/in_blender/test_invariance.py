@@ -24,15 +24,18 @@ def test_a_room_elsewhere_turned_or_in_other_units_has_the_turned_light(placing)
         assert apart(placing.turned_back(seen(placing).lights[name]), by_hand) <= NOISE[name]
 
 
+@pytest.mark.slow
 def test_a_room_that_is_really_1000_times_as_large_has_the_same_light():
     assert_same(see(IN_METRES[1], estimators=["projection"]), seen(), TOLERANCE)
 
 
+@pytest.mark.slow
 def test_sun_and_sky_come_the_same_way_into_a_room_that_is_moved_turned_and_scaled():
     known, moved = (see(placing, estimators=["projection"], is_open=True) for placing in (Placing(), ALL_THREE[1]))
     assert_same(moved, known, TOLERANCE)
 
 
+@pytest.mark.slow
 def test_the_bounds_are_those_of_noise():
     """Another seed stays within them, and takes more than a tenth of them."""
     other = see(seed=1).apart_from(seen())

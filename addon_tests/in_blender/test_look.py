@@ -76,6 +76,7 @@ def test_asking_again_costs_no_render(scene, out):
     assert again.objects == first.objects
 
 
+@pytest.mark.slow
 def test_a_stopped_advice_leaves_nothing_half_written_and_goes_on(scene, out):
     wishes = LookWishes(is_verified=True)
     with contextlib.closing(better_path(scene, out, CAPTURED, wishes, blend_file=out.parent / "room.blend")) as job:

@@ -151,6 +151,7 @@ def test_a_scene_that_is_linked_gives_the_numbers_of_the_library(library, tmp_pa
     assert all(world.library is None for world in bpy.data.worlds if lights_by_sh(world))
 
 
+@pytest.mark.slow
 def test_an_overridden_virtual_object_is_estimated_where_it_was_moved_to(library, tmp_path):
     scene = link_all(library[0])
     moved = scene.objects["Ball"].override_create(remap_local_usages=True)
@@ -203,6 +204,7 @@ def scaled_room(scale_length, system="METRIC"):
     return scene
 
 
+@pytest.mark.slow
 def test_a_room_in_other_units_is_the_same_room(tmp_path):
     in_metres, results = (
         run(scaled_room(scale), tmp_path / f"{scale}", replace(EXACT, phone="ipad_pro_lidar", target="ldr"))

@@ -253,6 +253,7 @@ def announced(scene, settings=SESSION, *, is_captured=True):
     return run_blocking(plan_phone_effects(scene, positions, settings, is_captured=is_captured))
 
 
+@pytest.mark.slow
 def test_what_is_announced_is_what_the_run_simulates(tmp_path):
     scene = room_with_a_virtual_sphere()
     effects = announced(scene)

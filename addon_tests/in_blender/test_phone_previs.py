@@ -167,6 +167,7 @@ def test_a_users_own_profile_works_and_a_changed_one_is_another_run(tmp_path):
         run(room_with_a_virtual_sphere(2), tmp_path / "out", settings)
 
 
+@pytest.mark.slow
 def test_an_estimate_is_applied_at_the_first_frame_after_its_arrival(perfect, over_lte):
     frames = over_lte.results["frames"]
     times_s = {entry["frame"]: entry["time_s"] for entry in frames}
@@ -189,6 +190,7 @@ def test_an_estimate_is_applied_at_the_first_frame_after_its_arrival(perfect, ov
     assert rows(over_lte.results)["network"]["state"] == "on" and summary["n_lost"] == 0
 
 
+@pytest.mark.slow
 def test_the_timeline_is_keyed_where_estimates_arrive(perfect, over_lte):
     arrivals = {p["arrival_frame"] for _, p in steps(over_lte.results) if p["name"] == "Ball"} - {None}
     assert set(over_lte.keys["Xihe Ball"]) >= arrivals > set()

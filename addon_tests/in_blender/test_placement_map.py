@@ -54,6 +54,7 @@ def test_a_map_has_places_with_their_light_and_leaves_the_scene_as_it_was(scene,
     assert unfinished_files(out) == []
 
 
+@pytest.mark.slow
 def test_a_place_has_the_coverage_and_the_light_of_a_run_with_the_object_there(scene, out, tmp_path):
     results = mapped(scene, out)
     place = results.best_first[0]
@@ -80,6 +81,7 @@ def test_no_more_places_than_wanted(scene, out):
     assert 0 < len(results.places) <= 10 and results.spacing_m > 0.05
 
 
+@pytest.mark.slow
 def test_a_map_that_is_stopped_leaves_nothing_half_written_and_goes_on(scene, out):
     with contextlib.closing(placement(scene, out, CAPTURED, FEW, blend_file=out.parent / "room.blend")) as job:
         for _ in range(6):

@@ -49,6 +49,7 @@ def test_results_are_those_on_disk_and_every_file_that_they_name_is_there(finish
     assert compared[0] == 1 and compared[-1] == N_FRAMES
 
 
+@pytest.mark.slow
 def test_another_estimator_beside_the_chosen_one_says_and_shows_what_it_does_when_it_is_chosen(finished, tmp_path):
     beside = run(walk(), tmp_path, replace(SMALL, estimator="projection", others=("lattice", "ambient", "projection")))
     assert beside["settings"]["others"] == ["lattice"]
@@ -84,6 +85,7 @@ def test_a_frame_without_a_position_in_view_is_captured_for_what_the_room_shows_
     assert (summary["n_captured_frames"], summary["n_active_frames"]) == (N_FRAMES, N_FRAMES - 1)
 
 
+@pytest.mark.slow
 def test_it_is_not_captured_where_only_what_is_in_view_is_wanted_and_nothing_is_learned_from_it(finished, tmp_path):
     results = run(walk(), tmp_path, replace(SMALL, captured="in-view"))
     entry = entries(results)[LOOKS_AWAY]
@@ -111,6 +113,7 @@ def test_the_session_of_a_run_gives_its_light_again_without_a_render(finished):
             assert light.expected_error[frame] == probe["expected_error"] and light.was_in_view
 
 
+@pytest.mark.slow
 def test_the_session_gives_the_light_that_a_run_finds_with_the_object_elsewhere(finished, tmp_path):
     scene = walk()
     ball, board = (virtual_collection(scene).objects[name] for name in ("Ball", "Board"))
@@ -134,6 +137,7 @@ def test_captures_that_are_gone_are_told(finished, tmp_path):
         run_blocking(open_kept_session(tmp_path))
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another(tmp_path):
     changes = [{"seed": seed, "frames": (1,), "exposure": 1.0} for seed in (0, 1)]
     one, other = (run(walk(), tmp_path / str(n), replace(SMALL, **change)) for n, change in enumerate(changes))
@@ -256,6 +260,7 @@ def test_a_path_that_never_sees_a_position_gives_results_and_a_report(tmp_path):
     assert "2 frames had no estimation position in view" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_an_object_that_is_never_in_view_changes_nothing_for_the_others(finished, tmp_path):
     scene = walk()
     sphere(scene, "Unseen", (0, -1.9, 2.9), 0.05, None, virtual_collection(scene))
@@ -274,6 +279,7 @@ def ball_after(results):
     return next(probe for probe in results["frames"][-1]["probes"] if probe["name"] == "Ball")
 
 
+@pytest.mark.slow
 def test_both_are_the_same_until_the_lamp_went_down_and_then_following_is_nearer_to_the_truth(results):
     before = [[e["probes"] for e in content["frames"] if e["frame"] <= LOOKS_AWAY] for content in results.values()]
     assert before[0] == before[1]
@@ -283,6 +289,7 @@ def test_both_are_the_same_until_the_lamp_went_down_and_then_following_is_nearer
     assert kept > 1.5 * truth and abs(followed - truth) < 0.3 * (kept - truth)
 
 
+@pytest.mark.slow
 def test_following_is_said_and_where_it_is_off_nothing_is_followed(results):
     following, keeping = results["following"], results["keeping"]
     when = {entry["frame"] for entry in following["frames"] if any(p["n_followed_anchors"] for p in entry["probes"])}

@@ -73,6 +73,7 @@ def test_a_recorded_session_gives_the_light_of_the_run_to_the_last_bit(finished,
         assert replayed(one, at) == direct
 
 
+@pytest.mark.slow
 def test_the_true_light_is_that_of_the_run_and_measured_again_where_the_light_changes(finished, tmp_path):
     only = replace(SMALL, objects=("Ball",))
     assert record(walk(), tmp_path, only, has_truth=True)[-1] == "the true light at 1 place in truth.json"

@@ -101,6 +101,7 @@ def scene_with_a_glowing_disc(radius_m):
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius_m", [0.1, 0.6])
 def test_a_glowing_disc_above_counts_once(radius_m):
     solid_angle = 2 * math.pi * (1 - math.cos(math.atan(radius_m / DISTANCE_M)))
@@ -148,6 +149,7 @@ def test_a_probe_neither_shades_nor_lights_the_room_and_leaves_nothing():
     assert after == before
 
 
+@pytest.mark.slow
 def test_irradiance_is_that_of_a_white_patch():
     """Against another renderer's path: a small white square, baked, which knows nothing of cones."""
     scene = room_with_a_virtual_sphere()
@@ -197,6 +199,7 @@ def test_what_was_measured_comes_back_from_json():
     assert (again.ldr_noise, again.hdr_noise, again.ldr_samples, again.hdr_samples) == (0.1, None, 4, 16)
 
 
+@pytest.mark.slow
 def test_a_tighter_target_takes_more_pictures_and_ends_at_the_most():
     scene = room_with_a_virtual_sphere()
     samples = []

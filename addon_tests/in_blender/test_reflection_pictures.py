@@ -102,6 +102,7 @@ def test_a_mirror_shows_no_sun_beside_the_picture():
     assert after == pytest.approx(before, abs=0.02)
 
 
+@pytest.mark.slow
 def test_rough_metal_under_a_sun_and_a_picture_without_its_lamp_is_as_under_all_of_the_picture():
     """By far fewer samples: a lamp in the picture is found by luck."""
     lattice, key = AnchorLattice(8192), KeyLight(np.array([0.6, -0.8, 0]), np.full(3, 2.0), 0.15, True)

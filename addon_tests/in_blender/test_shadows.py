@@ -74,6 +74,7 @@ def test_shadow_is_that_of_the_real_floor(wall, blurred):
     assert columns[:32].sum() > 3 * columns[32:].sum()
 
 
+@pytest.mark.slow
 def test_two_balls_beside_each_other_cast_no_shadow_twice():
     scene, ball = sunlit()
     virtual = virtual_collection(scene)
@@ -86,6 +87,7 @@ def test_two_balls_beside_each_other_cast_no_shadow_twice():
     assert all_of_it > 0.03 and left < 0.2 * all_of_it
 
 
+@pytest.mark.slow
 def test_ball_is_lit_as_without_a_catcher():
     scene, ball = sunlit()
     with_shadow, _ = compared(scene, [ball])

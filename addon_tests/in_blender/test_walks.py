@@ -153,6 +153,7 @@ def test_where_there_is_no_floor_to_walk_on_one_stands_and_looks_around():
     assert len(np.unique(poses[:, :2, 2], axis=0)) == N_FRAMES
 
 
+@pytest.mark.slow
 def test_a_walked_room_is_the_room_of_the_free_views():
     free, walk = make_room(5, 0, SMALL), make_room(5, 0, SMALL, walk=7)
     for name in ("positions_m", "seed"):
@@ -183,6 +184,7 @@ def walked_folder(tmp_path_factory):
     return folder, settings
 
 
+@pytest.mark.slow
 def test_a_build_of_walks_in_one_split_makes_these_alone(walked_folder):
     folder, settings = walked_folder
     assert list(stored_indices(folder)) == settings.wanted() == [settings.n_rooms - 1]
@@ -273,6 +275,7 @@ def test_a_scene_takes_its_own_place_again_and_others_the_next(tmp_path):
     assert list(stored_indices(tmp_path)) == [0, 1]
 
 
+@pytest.mark.slow
 def test_a_scene_is_not_added_to_a_folder_of_rooms(walked_folder):
     with pytest.raises(UserError, match="another folder"):
         added(room_with_a_virtual_sphere(), "tiny", walked_folder[0], frames=[1])
@@ -314,6 +317,7 @@ def test_a_scene_added_leaves_the_open_file_as_it_was(tmp_path):
     assert (tuple(scene.camera.location), scene.frame_current, len(bpy.data.scenes), len(bpy.data.objects)) == before
 
 
+@pytest.mark.slow
 def test_the_command_adds_a_scene_and_says_where(tmp_path):
     room_with_a_virtual_sphere()
     blend = saved(tmp_path / "tiny.blend")

@@ -61,6 +61,7 @@ def answers_to(port, requests):
         return list(received.values())
 
 
+@pytest.mark.slow
 @some_examples()
 @given(seed=st.integers(0, 2**32 - 1))
 def test_whatever_arrives_is_answered_or_refused_and_the_service_goes_on(port, requests, seed):

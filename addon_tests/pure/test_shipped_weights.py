@@ -65,6 +65,7 @@ def test_lattice_gives_the_figure_of_the_model_card(target):
     assert quoted and abs(ratio - float(quoted[1])) < 2e-3 and ratio < 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_anchors", [512, 768, 2048])
 def test_other_numbers_of_anchors_are_as_good(n_anchors):
     arrays, truth = pairs(n_anchors)
@@ -73,6 +74,7 @@ def test_other_numbers_of_anchors_are_as_good(n_anchors):
     assert made < 1.05 * rmse(light_of("lattice", "ldr", usual), truth_of_usual["ldr"])
 
 
+@pytest.mark.slow
 def test_an_upright_phone_is_better_off_with_lattice_than_with_projection():
     arrays, truth = pairs(is_upright=True)
     made = {name: rmse(light_of(name, "ldr", arrays), truth["ldr"]) for name in ("lattice", "projection")}
@@ -106,6 +108,7 @@ def turned_clouds():
     return turned
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("target", "most"), [("ldr", 3), ("hdr", 4)])
 def test_turning_a_room_changes_the_light_little_more_than_sampling_it_anew_does(target, most):
     """Which `projection` shows, that knows no direction from another. 1.2 times is aimed at: a turned room is sampled

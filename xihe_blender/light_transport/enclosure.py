@@ -213,7 +213,7 @@ def _next_surface(solids: Solids, ray: Ray) -> tuple[Vector, Vector, float] | No
 
 
 def _diffuse_direction(normal: Vector, step: Sequence[float]) -> Vector:
-    """Cosine-distributed about `normal`, for a normally distributed `step`: a point on the sphere that touches there."""
+    """Cosine-distributed about `normal` for a normally distributed `step`: on the sphere that touches there."""
     direction = normal + Vector(step).normalized()
     return direction.normalized() if direction.length > 1e-6 else normal
 
