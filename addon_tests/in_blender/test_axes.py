@@ -12,7 +12,7 @@ from xihenet.colour import srgb_to_linear
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
-PROBE = ProbeSettings(max_samples=4, noise_target=None)
+PROBE = ProbeSettings(size=144, max_samples=4, noise_target=None)
 AXES = [(axis, sign) for axis in range(3) for sign in (1, -1)]
 POSITION = (0.3, -0.2, 0.1)
 

@@ -24,7 +24,7 @@ from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.key_light import rest_of
 
-SETTINGS = QuickProbes(**DRAFT, estimator="projection", samples=64)
+SETTINGS = QuickProbes(**DRAFT, estimator="projection", samples=16)
 
 
 @dataclass

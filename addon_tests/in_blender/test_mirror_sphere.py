@@ -28,11 +28,11 @@ def coloured_room():
 def test_light_of_the_sphere_is_that_of_the_light_probe():
     scene, exposure = coloured_room(), 0.5
     before = [{block.name for block in kind} for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials)]
-    with open_mirror_sphere(scene, RenderSettings((64, 48), 64)) as sphere:
+    with open_mirror_sphere(scene, RenderSettings((64, 48), 16)) as sphere:
         seen, render_s = sphere.seen_at(1, PLACE, exposure)
         assert sphere.seen_at(1, PLACE + [0, 0, 9], exposure) is None
     cloud = mirror_sphere_cloud(seen, PLACE, sphere.radius_m, AnchorLattice(1280))
-    with open_reference_probe(scene, [PLACE], ProbeSettings()) as probe:
+    with open_reference_probe(scene, [PLACE], ProbeSettings(size=96)) as probe:
         truth = probe.light_at(0, 1, exposure).measured.of("ldr")
     assert render_s > 0 and cloud.is_set.mean() > 0.5
     estimate = load("projection").estimate(cloud)

@@ -18,7 +18,7 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight, ObjectLight
 
-SETTINGS = RenderSettings((64, 48), 64)
+SETTINGS = RenderSettings((64, 48), 32)
 TOWARDS_SUN = np.array([0.6, -0.2, 0.75]) / np.linalg.norm([0.6, -0.2, 0.75])
 SKY, SUN = 0.2, 2.0
 FLAT = np.sqrt(4 * np.pi) * SKY * np.eye(9)[0][:, None] * np.ones(3)
@@ -44,13 +44,13 @@ def light(exposure):
     return ObjectLight(FLAT * exposure + sh_of_key_light(key), key)
 
 
-def compared(scene, balls, *, has_surfaces=True, blurred=0.0):
-    with open_scanner(scene, SETTINGS) as scanner:
+def compared(scene, balls, *, has_surfaces=True, blurred=0.0, settings=SETTINGS):
+    with open_scanner(scene, settings) as scanner:
         scanner.move_to(1)
         captured = scanner.acquire_environment_scan()
     noise = np.random.default_rng(0).normal(size=captured.plane_depth_m.shape) * blurred
     captured = replace(captured, plane_depth_m=(captured.plane_depth_m * (1 + noise)).astype(np.float32))
-    with open_comparer(scene, balls, ["one"], SETTINGS, has_key_light=True) as comparer:
+    with open_comparer(scene, balls, ["one"], settings, has_key_light=True) as comparer:
         found = comparer.surfaces_around_objects([captured], 1) if has_surfaces else {}
         truth = comparer.render_ground_truth(1)
         result = comparer.render_methods(
@@ -90,8 +90,9 @@ def test_two_balls_beside_each_other_cast_no_shadow_twice():
 @pytest.mark.slow
 def test_ball_is_lit_as_without_a_catcher():
     scene, ball = sunlit()
-    with_shadow, _ = compared(scene, [ball])
-    without, _ = compared(scene, [ball], has_surfaces=False)
+    settings = replace(SETTINGS, samples=64)
+    with_shadow, _ = compared(scene, [ball], settings=settings)
+    without, _ = compared(scene, [ball], has_surfaces=False, settings=settings)
     inside = with_shadow.weights > 0.99
     assert inside.sum() > 60
     difference = (with_shadow.methods["one"] - without.methods["one"])[inside]
