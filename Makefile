@@ -76,10 +76,11 @@ scenes: $(VENV)/installed
 clean:
 	rm -rf $(VENV) build dist *.egg-info
 
+# Most of what is installed is never imported, so that it is compiled where it is.
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable ".[blender,exr,$(EXTRAS)]"
+	$(BIN)/python -m pip install --quiet --no-compile --editable ".[blender,exr,$(EXTRAS)]"
 	@$(BIN)/python -c "import bpy" || { echo "Blender's libraries are missing: run '.ci/system_packages' as root (Debian, Ubuntu)"; exit 1; }
 	@touch $@
 
