@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from addon_tests.real_blender.whole_blender import ROOT, SCENE, SMALL, WholeBlender
+from addon_tests.real_blender.whole_blender import ROOT, SCENE, SMALLEST, WholeBlender
 
 SOURCES = ("xihenet", "xihe_blender")
 
@@ -34,7 +34,7 @@ def unpacked(blender):
 
 
 def assert_a_run_ends_well(blender, folder):
-    done = blender.xihe("previs", SCENE, "--out", folder / "out", *SMALL)
+    done = blender.xihe("previs", SCENE, "--out", folder / "out", *SMALLEST)
     assert done.returncode == 0, done.stderr
     assert (folder / "out" / "report.html").exists()
 

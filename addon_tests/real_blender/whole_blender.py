@@ -13,6 +13,8 @@ SCENE = ROOT / "blend_scenes" / "cornell_box.blend"
 MODULE = "bl_ext.user_default.xihe"
 SMALL = ("--preset", "draft", "--size", "32x24", "--frames", "1:13:6")
 """What docs/previs_in_blender.py does, as options."""
+SMALLEST = ("--preset", "draft", "--size", "32x24", "--frames", "1", "--samples", "1", "--exposure", "1")
+"""A run that goes through all its steps, for tests that ask whether it comes to its end."""
 
 
 @dataclass(frozen=True)
