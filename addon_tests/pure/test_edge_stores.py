@@ -4,7 +4,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from addon_tests.pure.made import random_cloud
@@ -345,6 +345,8 @@ def test_a_cloud_as_phones_send_it_is_the_same_after_its_bytes_and_short(seed, n
 
 
 @given(seed=st.integers(0, 2**32), at=st.integers(0, 10_000), put=st.binary(max_size=8), cut=st.booleans())
+@example(seed=0, at=4041, put=b"\x00\x80\x7f", cut=False)
+@example(seed=0, at=1993, put=b"\x00\x80\x7f", cut=False)
 @settings(max_examples=200, deadline=None)
 def test_bytes_that_were_changed_are_refused_or_a_legal_position(seed, at, put, cut):
     stored = position_to_bytes(made_position(np.random.default_rng(seed), 9))

@@ -125,7 +125,9 @@ def position_from_bytes(stored: bytes) -> SeenPosition:
         raise ValueError(f"position: {error}") from None
     if version != VERSION or flags > 15 or n_anchors > MAX_STRIPPED_ANCHORS or not 0 < exposure < math.inf:
         raise ValueError(f"position: expected version {VERSION} and its fields, got others")
-    seen = SeenPosition(_cloud_from(stored, at, n_anchors, flags), exposure, position_m, key, n_frames)
+    with np.errstate(invalid="ignore"):  # A NaN that signals is refused as any other is.
+        cloud = _cloud_from(stored, at, n_anchors, flags)
+    seen = SeenPosition(cloud, exposure, position_m, key, n_frames)
     object.__setattr__(seen, "mark", mark)
     return seen
 
