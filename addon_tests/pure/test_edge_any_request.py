@@ -61,6 +61,12 @@ def answers_to(port, requests):
         return list(received.values())
 
 
+def test_all_requests_are_right_before_they_are_changed(port, requests):
+    for method, path, headers, body in requests:
+        status, answer, _ = asked(port, method, path, body, **headers)
+        assert status in (200, 201) or (status == 404 and method == "DELETE"), answer
+
+
 @pytest.mark.slow
 @some_examples()
 @given(seed=st.integers(0, 2**32 - 1))
@@ -70,9 +76,3 @@ def test_whatever_arrives_is_answered_or_refused_and_the_service_goes_on(port, r
         assert re.match(rb"HTTP/1\.1 (100|20[014]|40[013459]|413|415|503) |$", answer), answer[:200]
     status, metrics, _ = asked(port, "GET", "/metrics")
     assert status == 200 and not re.search(r'status="5(?!03)', metrics)
-
-
-def test_all_requests_are_right_before_they_are_changed(port, requests):
-    for method, path, headers, body in requests:
-        status, answer, _ = asked(port, method, path, body, **headers)
-        assert status in (200, 201) or (status == 404 and method == "DELETE"), answer
