@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from addon_runs import lit_walk, registered_addon
+from effect_scenes import shader_look
 from previs_runs import DRAFT, QuickProbes
 from renders import pixels_of_file, rendered
 from shown_lights import keyed
@@ -25,7 +26,7 @@ from xihe_blender.apply.reflection_pictures import reflects
 from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, f_curves, make_sh_world
 from xihe_blender.apply.shadow_catchers import catcher_name, shadow_catchers
 from xihe_blender.capture.render import RenderSettings, render_passes
-from xihe_blender.compare.methods import open_comparer
+from xihe_blender.compare.methods import REFLECTION_SAMPLES, open_comparer
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import light_of_change
@@ -43,9 +44,12 @@ from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import sh
+from xihenet.camera import Intrinsics
 from xihenet.light.key_light import rest_of, sh_of_key_light, sure_part
+from xihenet.light.reflections import N_DIRECTIONS
 from xihenet.panorama import solid_angles
-from xihenet.records import KeyLight, ObjectLight
+from xihenet.records import KeyLight, ObjectLight, Reflections, RgbdFrame
+from xihenet.sphere import AnchorLattice
 
 SIDE = 48
 FLAT = np.sqrt(4 * np.pi) * 0.1 * np.eye(9)[0][:, None] * np.ones(3)
@@ -120,6 +124,30 @@ def test_a_sun_shines_on_its_own_object_alone_and_is_gone_after_the_comparison()
     assert max(shown.values()) == pytest.approx(0.1, rel=0.1)
     assert not key_suns() and not bpy.data.lights
     assert not [c for c in bpy.data.collections if c.name.startswith("Xihe Lit")]
+
+
+def test_what_reflects_a_picture_takes_its_samples_and_all_else_those_of_the_preset():
+    """So a preset with fewer gives metal the same picture to the last bit, and a soft light another one."""
+    scene = empty_scene()
+    virtual = virtual_collection(scene, create=True)
+    silver = shader_look("Silver", "BsdfPrincipled", Metallic=1.0, Roughness=0.35)
+    ball = sphere(scene, "Ball", (0, 0, 0), 0.8, silver, virtual)
+    orthographic(scene)
+    towards = AnchorLattice(N_DIRECTIONS).directions @ [0.0, -0.6, 0.8]
+    picture = Reflections(np.where(towards > np.cos(0.1), 30.0, 0.1)[:, None].astype(np.float32).repeat(3, 1), 1.0)
+    lights = {"picture": {"Ball": ObjectLight(FLAT, reflections=picture)}, "soft": {"Ball": ObjectLight(FLAT)}}
+    grey, camera = np.zeros((SIDE, SIDE, 3), np.uint8), Intrinsics(SIDE, SIDE, 32.0, 32.0, SIDE / 2, SIDE / 2)
+    captured = RgbdFrame(grey, np.full((SIDE, SIDE), 10.0, np.float32), camera, np.eye(4), frame=1)
+    pictures = []
+    for samples in (2, REFLECTION_SAMPLES):
+        with open_comparer(
+            scene, [ball], list(lights), RenderSettings((SIDE, SIDE), samples, denoise=False)
+        ) as comparer:
+            layers = comparer.render_layers(captured, lights).layers
+            pictures.append({method: layers[comparer.layers[method, "Ball"]]["Combined.R"] for method in lights})
+    few, many = pictures
+    assert many["picture"].max() > 0.5 and (few["picture"] == many["picture"]).all()
+    assert (few["soft"] != many["soft"]).any()
 
 
 @pytest.fixture(scope="module")
