@@ -78,7 +78,7 @@ NEAREST_M = 0.05
 
 REFLECTION_SAMPLES = 32
 """Of a pixel of an object that reflects a picture, at least: rays meet the lamps in it by luck, and with the 8 of Draft
-their noise was a third of a metal sphere's error. Objects alone render so fast that 32 take hardly longer than 8."""
+their noise was up to a third of a metal sphere's error. Objects alone render so fast that 32 hardly take longer."""
 
 ERROR_AT_FULL_SCALE = 0.25
 """Difference of sRGB-encoded colour at which the error map reaches its brightest colour."""
