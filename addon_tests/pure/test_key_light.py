@@ -285,6 +285,8 @@ def test_times_its_certainty_a_key_light_with_noise_is_nearest_to_itself(expecte
     of_both = mean_light([ObjectLight(np.eye(9, 3), key), ObjectLight(np.eye(9, 3), key)]).key
     assert of_both.certainty == 1
     for certainty, share in ((0.0, 0.0), (0.1, 0.25), (0.4, 1.0), (1.0, 1.0)):
-        assert sure_part(replace(key, certainty=certainty)).irradiance == pytest.approx(share * key.irradiance)
+        implied = replace(key, certainty=certainty, is_seen=False)
+        assert sure_part(implied).irradiance == pytest.approx(share * key.irradiance)
+        assert sure_part(replace(implied, is_seen=True)).irradiance == pytest.approx(key.irradiance)
     found = [split_light(sh_of_key_light(key), expected_error=error).key for error in (None, expected_error)]
     assert [one.certainty for one in found] == [1, certainty_of(found[1], expected_error)]

@@ -170,7 +170,7 @@ def test_rough_things_have_the_sure_part_of_the_key_light_and_a_picture_with_the
     direction = random_directions(1, 7)[0]
     cosine = LATTICE.directions @ direction
     whole = Reflections(np.where((cosine > np.cos(0.2))[:, None], [9.0, 6.0, 3.0], 0.3).astype(np.float32), 0.4)
-    key = KeyLight(direction, np.ones(3), 0.2, True, certainty=0.1)
+    key = KeyLight(direction, np.ones(3), 0.2, False, certainty=0.1)
     rough = light_of_rough(ObjectLight(FLAT + sh_of_key_light(key), key, whole))
     assert rough.key.irradiance == pytest.approx(np.full(3, 0.25))
     assert rest_of(rough) == pytest.approx(FLAT + 0.75 * sh_of_key_light(key))

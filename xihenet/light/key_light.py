@@ -171,13 +171,13 @@ def certainty_of(key: KeyLight, expected_error: float | None) -> float:
 
 
 def sure_share(key: KeyLight) -> float:
-    """0 to 1: the share of a key light that metal shows, which rises with its certainty."""
+    """0 to 1: the share of a key light that mirrors show, which rises with its certainty."""
     return min(key.certainty / SURE_FROM, 1.0)
 
 
 def sure_part(key: KeyLight) -> KeyLight:
-    """A key light with that share of its light."""
-    return replace(key, irradiance=sure_share(key) * key.irradiance)
+    """A key light with as much of its light as rough metal shows: all of one that was seen, else that share."""
+    return key if key.is_seen else replace(key, irradiance=sure_share(key) * key.irradiance)
 
 
 def rest_of(light: ObjectLight) -> ArrayF64:
