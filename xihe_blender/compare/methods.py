@@ -261,7 +261,7 @@ class Comparer:
 
     @property
     def _samples_for_reflections(self) -> int:
-        return max(REFLECTION_SAMPLES, self.lit.cycles.samples)
+        return max(REFLECTION_SAMPLES, int(self.lit.cycles.samples))
 
     def _light(self, key: tuple[str, str], light: ObjectLight, exposure: float) -> None:
         """Set world and sun of a method's object to `light`, which carries `exposure`."""
