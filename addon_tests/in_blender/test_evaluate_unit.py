@@ -15,7 +15,7 @@ from xihe_blender.scene.blend_file import open_blend
 
 pytestmark = pytest.mark.usefixtures("small_light_probes")
 SMALL = BatchSettings(
-    estimators=("projection", "ambient", "truth"),
+    estimators=("projection", "truth"),
     phones=("perfect", "ipad_pro_lidar"),
     size=(24, 18),
     samples=1,

@@ -64,7 +64,7 @@ def test_all_of_the_tab_draws_without_an_error_in_a_room(tmp_path, scenario):
 
 def test_a_recording_becomes_a_lit_object_over_its_pictures(tmp_path, monkeypatch):
     session = SessionRecorder(tmp_path / "session")
-    for number, azimuth in enumerate(np.linspace(-0.3, 0.3, 5), start=1):
+    for number, azimuth in enumerate(np.linspace(-0.3, 0.3, 3), start=1):
         session.record(seen(looking(azimuth, -0.6, (-1.0, 0.0, 1.4)), NO_BOXES, number))
     monkeypatch.setenv("XIHE_RECORDING", str(session.folder))
     monkeypatch.setenv("XIHE_AT", "0.9,0.0,0.3")
