@@ -127,8 +127,10 @@ def test_a_sun_shines_on_its_own_object_alone_and_is_gone_after_the_comparison()
 
 
 def test_what_reflects_a_picture_takes_its_samples_and_all_else_those_of_the_preset():
-    """So a preset with fewer gives metal the same picture to the last bit, and a soft light another one."""
+    """So a preset with fewer gives metal the same picture to the last bit, and a soft light another one; also in a
+    scene whose view layers must not choose their samples."""
     scene = empty_scene()
+    scene.cycles.use_layer_samples = "IGNORE"
     virtual = virtual_collection(scene, create=True)
     silver = shader_look("Silver", "BsdfPrincipled", Metallic=1.0, Roughness=0.35)
     ball = sphere(scene, "Ball", (0, 0, 0), 0.8, silver, virtual)

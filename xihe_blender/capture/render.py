@@ -109,7 +109,7 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
     render.film_transparent = False
     # 0.4 s -> 0.04 s per small render; new pixels in an existing world image would be missed, so none are ever made.
     render.use_persistent_data = True
-    cycles.samples = settings.samples
+    cycles.samples, cycles.use_layer_samples = settings.samples, "USE"
     cycles.seed, cycles.use_animated_seed = settings.seed, False
     cycles.use_adaptive_sampling, cycles.time_limit = False, 0.0
     cycles.film_exposure = 1.0

@@ -245,9 +245,7 @@ class Comparer:
                 layer = self.lit.view_layers[self.layers[key]]
                 layer.use = turn < max(1, len(light.at))
                 if layer.use:
-                    light_there = light.at[turn][1] if light.at else light
-                    layer.samples = 0 if light_there.reflections is None else self._samples_for_reflections
-                    self._light(key, light_there, exposure)
+                    self._light(key, light.at[turn][1] if light.at else light, exposure)
             rendered.append(render_passes(self.lit))
         for layer in self.lit.view_layers:
             layer.use = True
@@ -259,13 +257,10 @@ class Comparer:
                 layers[name] = blended(of_each, [place_m for place_m, _ in light.at], captured)
         return Rendered(layers, sum(one.render_s for one in rendered))
 
-    @property
-    def _samples_for_reflections(self) -> int:
-        return max(REFLECTION_SAMPLES, int(self.lit.cycles.samples))
-
     def _light(self, key: tuple[str, str], light: ObjectLight, exposure: float) -> None:
-        """Set world and sun of a method's object to `light`, which carries `exposure`."""
-        world = self.worlds[key]
+        """Set world, sun and samples of a method's object for `light`, which carries `exposure`."""
+        world, layer = self.worlds[key], self.lit.view_layers[self.layers[key]]
+        layer.samples = 0 if light.reflections is None else max(REFLECTION_SAMPLES, int(self.lit.cycles.samples))
         has_sun = light.reflections is None or (key in self.suns and has_sun_for_lamp(bpy.data.objects[key[1]]))
         if light.reflections is None:
             forget_reflections(world)

@@ -31,7 +31,8 @@ from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
 from xihenet.formats import format_duration
-from xihenet.records import ObjectLight, RgbdFrame
+from xihenet.light.reflections import N_DIRECTIONS
+from xihenet.records import ObjectLight, Reflections, RgbdFrame
 
 FEW_SAMPLES = 4
 LONGEST_S = 4.0
@@ -128,8 +129,10 @@ def _timed_probe(run: PreparedRun, frames: Sequence[int]) -> tuple[float, Render
 def _timed_comparison(
     run: PreparedRun, frames: Sequence[int], captured: Mapping[int, RgbdFrame]
 ) -> tuple[float, RenderTime]:
-    """Under no light at all, which takes Cycles as long as any."""
-    dark = {method: {item.name: ObjectLight(np.zeros((9, 3))) for item in run.plan.objects} for method in run.methods}
+    """Under no light at all, which takes Cycles as long as any; reflected, if that is what a run's lights are."""
+    picture = Reflections(np.zeros((N_DIRECTIONS, 3), np.float32), 0.0) if run.settings.has_reflections else None
+    nothing = ObjectLight(np.zeros((9, 3)), reflections=picture)
+    dark = {method: {item.name: nothing for item in run.plan.objects} for method in run.methods}
     with open_comparer(
         run.scene, run.plan.objects, run.methods, run.comparison, has_key_light=run.settings.has_key_light
     ) as comparer:
