@@ -12,7 +12,6 @@ distortion, rolling shutter. Paper: section 4.1.1, `GeneratePointCloud`.
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +21,7 @@ from xihenet.invalid import counted, left_out
 from xihenet.metering import KEY_LUMINANCE as KEY_LUMINANCE
 from xihenet.metering import LUMINANCE as LUMINANCE
 from xihenet.metering import metered_exposure as metered_exposure
+from xihenet.openings import with_openings
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, FarPixels, PixelGrid, PointCloud, RgbdFrame
 from xihenet.records import Intrinsics as Intrinsics
 
@@ -57,7 +57,7 @@ def sound_plane_depth(plane_depth_m: ArrayF32, radiance: ArrayF32 | None = None)
 
 
 def invalid_pixels(frame: RgbdFrame) -> dict[str, int]:
-    """How many pixels of `frame` give no point, by reason: in all those without a valid plane depth.
+    """How many pixels of `frame` have no distance, by reason: in all those without a valid plane depth.
 
     First the reasons that whoever made the frame knows, `frame.invalid`; others are told by their values.
     """
@@ -86,15 +86,15 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     Colours are decoded, multiplied by `reference_exposure / frame.exposure`, divided by the frame's white balance,
     clipped at 1 and encoded again; None leaves the frame's own exposure. ValueError for a reference that is not
     positive and finite. Pixels without a valid plane depth (0, negative, NaN, infinite, or a renderer's miss) still say
-    what light comes from there, unless it is NaN. Between two surfaces of their row they are an opening, such as a
-    window: their points lie between both. The others are the `far` pixels of the cloud's grid; their points are NaN, as
-    where the depth is NaN, and counted by reason. A frame without any valid plane depth has neither, since a sensor
-    that sees nothing may be broken.
+    what light comes from there, unless it is NaN. Beside surfaces they are an opening, such as a window, and their
+    points lie in it, see `xihenet.openings`. The others are the `far` pixels of the cloud's grid; their points are NaN,
+    as where the depth is NaN. All are counted by reason. A frame without any valid plane depth has neither, since a
+    sensor that sees nothing may be broken.
 
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
     of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
     """
-    depth_m = _with_openings(frame.plane_depth_m)
+    depth_m = with_openings(frame.plane_depth_m, valid_plane_depth(frame.plane_depth_m))
     points = _unprojected(frame, depth_m)
     gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
     if frame.white_balance is not None:
@@ -109,32 +109,7 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     if depth_m is not frame.plane_depth_m:
         openings = np.flatnonzero(valid_plane_depth(depth_m) & ~valid_plane_depth(frame.plane_depth_m))
     grid = PixelGrid(height, width, camera_m, _far_pixels(frame, depth_m), openings)
-    invalid = invalid_pixels(replace(frame, plane_depth_m=depth_m))
-    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid, grid)
-
-
-def _with_openings(plane_depth_m: ArrayF32) -> ArrayF32:
-    """(H, W) with a depth for what has none between two surfaces of its row: where its light comes through an opening.
-
-    Inverse depth is linear between both sides, as on a plane. The same array where there is nothing to fill.
-    """
-    valid = valid_plane_depth(plane_depth_m)
-    if valid.all() or not valid.any():
-        return plane_depth_m
-    rows = np.flatnonzero((~valid).any(axis=1))
-    seen, width = valid[rows], valid.shape[1]
-    column = np.broadcast_to(np.arange(width), seen.shape)
-    left = np.maximum.accumulate(np.where(seen, column, -1), axis=1)
-    right = np.minimum.accumulate(np.where(seen, column, width)[:, ::-1], axis=1)[:, ::-1]
-    is_between = ~seen & (left >= 0) & (right < width) & ~np.isnan(plane_depth_m[rows])
-    if not is_between.any():
-        return plane_depth_m
-    row, at = np.nonzero(is_between)
-    left, right, row = left[is_between], right[is_between], rows[row]
-    of_left, of_right = (1 / plane_depth_m[row, side].astype(np.float64) for side in (left, right))
-    filled = plane_depth_m.copy()
-    filled[row, at] = 1 / (of_left + (of_right - of_left) * (at - left) / (right - left))
-    return filled
+    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid_pixels(frame), grid)
 
 
 def _far_pixels(frame: RgbdFrame, depth_m: ArrayF32) -> FarPixels | None:

@@ -220,6 +220,7 @@ CORNER = np.sqrt(1 + (31.5**2 + 23.5**2) / wide(179).fx ** 2)
 IS_NAN = that("NaN", lambda came: bool(np.isnan(came).all()))
 LANDS = pixels_off, at_most(1e-4), upright
 RELATIVE = lambda m: first_point(m) / np.float32(m), near([-0.5, 2.5 / 7, -1.0], 1e-6), relative_in_half
+BESIDE = near([-0.5, 2.5 / 7, -1.0], 1e-6), first_point_by_hand
 AT_0, IN_PLANE = (AHEAD, posed(np.zeros((3, 3)), 0)), (AHEAD, posed(FLAT, 0))
 CASES = [
     *(row(f"{name} lands on its own pixels", shot(posed(axes)), *LANDS) for name, axes in POSES.items()),
@@ -241,9 +242,10 @@ CASES = [
     row("in a room points are right to 2 micrometres", IN_A_ROOM, metres_off, at_most(2e-6), in_float16),
     row("a camera 1e39 m away gives points that are not finite and no warning", AWAY, n_finite, equal(0), n_by_hand),
     *(
-        row(f"a plane depth of {depth_m} is no point", depth_m, first_point, IS_NAN, first_point_by_hand)
-        for depth_m in (0.0, -1.0, np.nan, np.inf, -np.inf, 1e10, 1e9)
+        row(f"light of a plane depth of {depth_m} comes from beside it", depth_m, first_point, *BESIDE)
+        for depth_m in (0.0, -1.0, np.inf, -np.inf, 1e10, 1e9)
     ),
+    row("a plane depth of NaN is no point", np.nan, first_point, IS_NAN, first_point_by_hand),
     *(row(f"a plane depth of {m:g} m is a point", m, *RELATIVE) for m in (65535.0, 9e8, 1e-8, 1e-30)),
     row("at 179 degrees, rays to the corners are as long as float64 says", 1.0, ray, near(CORNER, 2e-5), ray_by_hand),
     row("a plane depth of 3e38 gives no warning as a ray distance", 3e38, ray, equal(np.float32(np.inf)), ray_by_hand),
