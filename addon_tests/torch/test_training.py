@@ -23,6 +23,7 @@ from xihenet.training import __main__ as command_line
 from xihenet.training import loop
 from xihenet.training.baselines import projected
 from xihenet.training.dataset import (
+    CACHE_VERSION,
     SAMPLINGS,
     CacheSettings,
     RoomChange,
@@ -177,7 +178,7 @@ def test_a_cache_of_another_version_is_refused_in_one_line(caches, tmp_path, cap
     shutil.copytree(caches["sphere"], tmp_path / "old")
     found = json.loads((tmp_path / "old" / "settings.json").read_text())
     (tmp_path / "old" / "settings.json").write_text(json.dumps({**found, "version": 3}))
-    with pytest.raises(ValueError, match="expected sampled clouds of version 5, got 3"):
+    with pytest.raises(ValueError, match=f"expected sampled clouds of version {CACHE_VERSION}, got 3"):
         open_split(tmp_path / "old", "test")
     assert command_line.main(["report", "--clouds", str(tmp_path / "old")]) == 2
     said = capsys.readouterr().err

@@ -6,7 +6,10 @@ into coefficients. The result is a light and not 27 loose numbers. Where all was
 added: constant light comes out constant, one set anchor gives its colour from everywhere, and none gives black. What is
 added is no larger than twice the error that the network expects of itself.
 
-It is added where nothing was seen and, in all of the light, where anchors are clipped (`opens_clipped`).
+It is added where nothing was seen and, in all of the light, where anchors are clipped (`opens_clipped`). A clipped lamp
+is white in the picture; what surfaces that are not clipped show of it has its colour. So what is added has that, by
+shades of grey: the mean of their fourth powers (Finlayson and Trezzi, Shades of Gray and Colour Constancy, 2004), by
+which the brightest count most.
 
 What must not matter does not, by construction. Each channel is taken relative to its own mean, so that exposure and
 white balance act on the light as on the pictures, unless something is clipped. The layers that see the whole sphere see
@@ -237,10 +240,13 @@ class LatticeNetwork:
         raw = self._layers.dense("error", _rectified(error_hidden))[:, 0]
         expected_error = np.logaddexp(raw, 0) * level.mean(axis=0) + SMALLEST_ERROR
         open_share, unseen = self._open(inputs[_CLIPPED], known, counted_once, decoder_inputs[-4])
+        added_level = level
+        if self._opens_clipped:
+            added_level = _lit_level(linear, counted_once * (1 - inputs[_CLIPPED]), level)
         unseen *= contrast
         added = (unseen[:, None] * np.tanh(gate[:, GATE_OF]))[..., None] * projection
         lacking = self._lacking(decoder_inputs, self._spread(code), open_share) * contrast[:, None]
-        added += lacking.transpose(1, 2, 0) * level.T[:, None]
+        added += lacking.transpose(1, 2, 0) * added_level.T[:, None]
         size = np.sqrt(np.mean(np.square(added), axis=(1, 2)))
         added *= np.minimum(1, MOST_ADDED * expected_error / np.maximum(size, SMALLEST_ERROR))[:, None, None]
         sh_radiance = projection + added
@@ -446,6 +452,18 @@ def _linear(srgb: ArrayF32) -> ArrayF32:
     np.exp(linear, out=linear)
     np.copyto(linear, srgb * np.float32(1 / 12.92), where=srgb <= np.float32(0.04045))
     return linear
+
+
+def _lit_level(linear: ArrayF32, unclipped: ArrayF32, level: ArrayF32) -> ArrayF32:
+    """(3, B) as bright as `level` (3, B), in the colour of the light that the `unclipped` (B, n) surfaces show.
+
+    `linear` (3, B, n); grey where all of them are black, or there are none.
+    """
+    squared = np.square(linear)
+    shade = np.einsum("cbn,bn->cb", np.square(squared, out=squared), unclipped) / np.maximum(unclipped.sum(axis=1), 1)
+    shade = np.sqrt(np.sqrt(np.maximum(shade, np.float32(SMALLEST_MEAN**4))))
+    lit: ArrayF32 = shade * (level.mean(axis=0) / shade.mean(axis=0))
+    return lit
 
 
 def _contrast(residual: ArrayF32, n_set: ArrayF32, level: ArrayF32) -> ArrayF32:

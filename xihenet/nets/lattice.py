@@ -92,14 +92,22 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         raw = self.layer("error")(torch.relu(self.layer("error_hidden")(mean_code.detach())))[:, 0]
         expected_error = nn.functional.softplus(raw) * level.mean((1, 2)) + SMALLEST_ERROR
         closed = known * (1 - clipped) if self.architecture.opens_clipped else known
+        added_level = self._lit_level(linear, closed, level) if self.architecture.opens_clipped else level
         unseen = contrast * (1 - closed.mean(1))
         gate = unseen[:, None] * torch.tanh(self.layer("gate")(mean_code)[:, GATE_OF])
         radiance = self._radiance(middle, aside, code, self._share(closed)) * contrast[:, None, None]
-        added = gate[..., None] * projection + (self._constant("quadrature", 0, srgb.device) @ radiance) * level
+        added = gate[..., None] * projection + (self._constant("quadrature", 0, srgb.device) @ radiance) * added_level
         size = added.square().mean((1, 2)).clamp(min=SMALLEST_ERROR**2).sqrt()
         added = added * (MOST_ADDED * expected_error.detach() / size).clamp(max=1)[:, None, None]
         sh_radiance = projection + added
         return torch.cat([sh_radiance[:, :1].clamp(min=0), sh_radiance[:, 1:]], 1), expected_error
+
+    def _lit_level(self, linear: Tensor, unclipped: Tensor, level: Tensor) -> Tensor:
+        """(B, 1, 3) as bright as `level` (B, 1, 3), in the colour of the light that the unclipped surfaces show."""
+        n_unclipped = unclipped.sum(1).clamp(min=1)[:, None]
+        shade = (linear.square().square() * unclipped[..., None]).sum(1) / n_unclipped
+        shade = shade.clamp(min=SMALLEST_MEAN**4).sqrt().sqrt()[:, None]
+        return shade * (level.mean(2, keepdim=True) / shade.mean(2, keepdim=True))
 
     def _project(self, residual: Tensor, counted: Tensor, mean: Tensor) -> Tensor:
         """(B, 9, 3): `xihenet.sh.project_anchors` for a batch, its small systems in float64."""
