@@ -23,8 +23,8 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
 QUANTILE = 0.35  # of the rim's inverse depths that the plane leaves on its far side
 SLOPE_PENALTY = 0.01  # per pixel of the rim, of the change of inverse depth over the picture's width
 SMALLEST_RIM = 16  # Pixels of a rim from which a plane has a slope; smaller holes get the mean of theirs
-N_ROUNDS = 4
-SMALLEST_RESIDUAL = 1e-3  # 1/m
+N_ROUNDS = 4  # more move the plane by less than a fiftieth
+SMALLEST_RESIDUAL = 3e-3  # of the median inverse depth of the rims that have slopes
 
 
 def with_openings(plane_depth_m: ArrayF32, is_valid: ArrayBool) -> ArrayF32:
@@ -51,7 +51,7 @@ def with_openings(plane_depth_m: ArrayF32, is_valid: ArrayBool) -> ArrayF32:
     inverse = 1 / plane_depth_m.reshape(-1)[rim].astype(np.float64)
     n_rim = np.bincount(of_rim, minlength=n_holes)
     planes = np.zeros((n_holes, 3))
-    planes[:, 0] = np.bincount(of_rim, inverse, n_holes) / np.maximum(n_rim, 1)
+    planes[:, 0] = np.bincount(of_rim, inverse, n_holes) / np.maximum(n_rim, 1)  # for small holes
     is_large = n_rim >= SMALLEST_RIM
     chosen, number = is_large[of_rim], np.cumsum(is_large) - 1
     if chosen.any():
@@ -112,7 +112,7 @@ def _rim(inside: ArrayInt, of_inside: ArrayInt, is_valid: ArrayBool) -> tuple[Ar
 
 def _fitted(places: ArrayF64, values: ArrayF64, group: ArrayInt, n_groups: int) -> ArrayF64:
     """(G, 3) planes through the `values` (K,) at `places` (3, K) of each `group` (K,); 0 where it has none."""
-    weight = np.ones(len(values))
+    weight, smallest = np.ones(len(values)), SMALLEST_RESIDUAL * np.median(values)
     for _ in range(N_ROUNDS):
         weighted = places * weight
         normal: NDArray[np.float64] = np.empty((n_groups, 3, 3))
@@ -126,5 +126,5 @@ def _fitted(places: ArrayF64, values: ArrayF64, group: ArrayInt, n_groups: int) 
         normal[total == 0] = np.eye(3)
         planes: ArrayF64 = np.linalg.solve(normal, right_side[:, :, None])[:, :, 0]
         residual = values - np.einsum("ik,ki->k", places, planes[group])
-        weight = np.where(residual > 0, QUANTILE, 1 - QUANTILE) / np.maximum(np.abs(residual), SMALLEST_RESIDUAL)
+        weight = np.where(residual > 0, QUANTILE, 1 - QUANTILE) / np.maximum(np.abs(residual), smallest)
     return planes

@@ -16,18 +16,25 @@ def filled(plane_depth_m):
     return with_openings(plane_depth_m, valid_plane_depth(plane_depth_m))
 
 
+def _rim_of(holes, number, is_valid):
+    """Valid pixels beside those of a hole, each as often as it is beside one."""
+    rim = []
+    for row, column in np.argwhere(holes == number):
+        for beside in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
+            if 0 <= beside[0] < holes.shape[0] and 0 <= beside[1] < holes.shape[1] and is_valid[beside]:
+                rim.append(beside)
+    return rim
+
+
 def plainly_filled(plane_depth_m):
     """Hole after hole, which another library finds, and pixel after pixel of its rim."""
     is_valid, width = valid_plane_depth(plane_depth_m), plane_depth_m.shape[1]
     holes, n_holes = label(~is_valid & ~np.isnan(plane_depth_m))
     result = plane_depth_m.copy()
+    rims = {number: _rim_of(holes, number, is_valid) for number in range(1, n_holes + 1)}
+    large = [1 / float(plane_depth_m[beside]) for rim in rims.values() if len(rim) >= SMALLEST_RIM for beside in rim]
     for number in range(1, n_holes + 1):
-        inside = np.argwhere(holes == number)
-        rim = []
-        for row, column in inside:
-            for beside in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
-                if 0 <= beside[0] < len(holes) and 0 <= beside[1] < width and is_valid[beside]:
-                    rim.append(beside)
+        inside, rim = np.argwhere(holes == number), rims[number]
         if not rim:
             continue
         values = np.array([1 / float(plane_depth_m[beside]) for beside in rim])
@@ -39,7 +46,9 @@ def plainly_filled(plane_depth_m):
             penalty = np.diag([0, SLOPE_PENALTY, SLOPE_PENALTY]) * weights.sum()
             plane = np.linalg.solve(places.T @ np.diag(weights) @ places + penalty, places.T @ (weights * values))
             off = values - places @ plane
-            weights = np.where(off > 0, QUANTILE, 1 - QUANTILE) / np.maximum(abs(off), SMALLEST_RESIDUAL)
+            weights = np.where(off > 0, QUANTILE, 1 - QUANTILE) / np.maximum(
+                abs(off), SMALLEST_RESIDUAL * np.median(large)
+            )
         for row, column in inside:
             inverse = plane @ [1, (row - middle[0]) / width, (column - middle[1]) / width]
             result[row, column] = 1 / min(max(inverse, values.min()), values.max())
@@ -96,6 +105,14 @@ def test_what_stands_before_a_window_or_shows_through_it_moves_it_little():
 def test_where_there_is_nothing_to_fill_the_same_array_comes_back(nothing):
     plane_depth_m = nothing.astype(np.float32)
     assert filled(plane_depth_m) is plane_depth_m
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_a_scene_in_another_unit_has_the_same_openings(unit):
+    rng = np.random.default_rng(0)
+    plane_depth_m = rng.uniform(0.3, 9, (36, 48)).astype(np.float32)
+    plane_depth_m[8:24, 10:30] = 0
+    np.testing.assert_allclose(filled(plane_depth_m * np.float32(unit)) / unit, filled(plane_depth_m), rtol=1e-5)
 
 
 def test_a_hole_with_nothing_beside_it_stays_as_it_is():
