@@ -133,6 +133,22 @@ def test_where_all_was_seen_light_is_added_to_what_is_clipped_alone_and_only_to_
         assert (added > 1e-3).tolist() == is_added and (added > 1e-5).tolist() == is_added
 
 
+def test_light_that_is_added_has_the_colour_of_what_is_not_clipped(tmp_path):
+    """Grey from the network, in a room of one colour with a lamp that the picture shows as white."""
+    weights, colour = random_weights(5, "hdr", LatticeArchitecture(opens_clipped=True)), (0.6, 0.4, 0.2)
+    for part in ("weight", "bias"):
+        weights.arrays[f"radiance.{part}"][:] = weights.arrays[f"radiance.{part}"][0]
+        weights.arrays[f"gate.{part}"][:] = 0
+    save_weights(tmp_path / "grey.npz", weights)
+    linear = np.random.default_rng(3).uniform(0.2, 1, (1, 1280, 1)) * colour
+    linear[:, :90] = 1
+    given = linear_to_srgb(linear).astype(np.float32), np.ones((1, 1280), np.float32), np.ones((1, 1280), bool)
+    made = Lattice(1280, "hdr", weights=tmp_path / "grey.npz").estimate_batch(*given)
+    added = (made - Projection(1280, "hdr").estimate_batch(*given))[0]
+    assert np.abs(added).max() > 1e-3
+    np.testing.assert_allclose(added / added[:, :1], np.tile(colour, (9, 1)) / colour[0], rtol=0.02)
+
+
 def test_what_is_added_is_at_most_twice_the_error_that_is_expected(tmp_path):
     weights = random_weights(4, "hdr")
     weights.arrays["radiance.weight"][:] = 100 * np.abs(weights.arrays["radiance.weight"])
