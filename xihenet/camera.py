@@ -57,7 +57,7 @@ def sound_plane_depth(plane_depth_m: ArrayF32, radiance: ArrayF32 | None = None)
 
 
 def invalid_pixels(frame: RgbdFrame) -> dict[str, int]:
-    """How many pixels of `frame` have no distance, by reason: in all those without a valid plane depth.
+    """How many pixels of `frame` give no point, by reason: in all those without a valid plane depth.
 
     First the reasons that whoever made the frame knows, `frame.invalid`; others are told by their values.
     """
@@ -88,8 +88,8 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     positive and finite. Pixels without a valid plane depth (0, negative, NaN, infinite, or a renderer's miss) still say
     what light comes from there, unless it is NaN. Beside surfaces they are an opening, such as a window, and their
     points lie in it, see `xihenet.openings`. The others are the `far` pixels of the cloud's grid; their points are NaN,
-    as where the depth is NaN. All are counted by reason. A frame without any valid plane depth has neither, since a
-    sensor that sees nothing may be broken.
+    as where the depth is NaN, and counted by reason. A frame without any valid plane depth has neither, since a sensor
+    that sees nothing may be broken.
 
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
     of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
@@ -105,11 +105,21 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     else:
         srgb = _reencoded_bytes(gain).take(frame.srgb_u8)
     height, width, camera_m = frame.intrinsics.height, frame.intrinsics.width, frame.world_from_camera[:3, 3]
-    openings = None
+    openings, invalid = None, invalid_pixels(frame)
     if depth_m is not frame.plane_depth_m:
         openings = np.flatnonzero(valid_plane_depth(depth_m) & ~valid_plane_depth(frame.plane_depth_m))
+        invalid = _without(invalid, len(openings))
     grid = PixelGrid(height, width, camera_m, _far_pixels(frame, depth_m), openings)
-    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid_pixels(frame), grid)
+    return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid, grid)
+
+
+def _without(invalid: dict[str, int], n_points: int) -> dict[str, int]:
+    """Counts by reason, less `n_points` pixels that have a point after all; those that may be NaN come last."""
+    left = dict(invalid)
+    for reason in sorted(invalid, key=lambda reason: reason in ("not_finite", "colour_not_finite")):
+        n = min(left[reason], n_points)
+        left[reason], n_points = left[reason] - n, n_points - n
+    return counted(**left)
 
 
 def _far_pixels(frame: RgbdFrame, depth_m: ArrayF32) -> FarPixels | None:

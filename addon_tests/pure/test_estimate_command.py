@@ -283,10 +283,9 @@ def test_pixels_that_give_no_point_are_counted_by_reason(folder, answer, capfd):
     asked = [broken, "--camera", folder / "camera.json", "--at", AT]
     (one,) = answer(*asked)[0]["positions"]
     assert one["invalid"] == {
-        "not_finite": 1, "no_surface": 3, "no_distance": 4, "colour_not_finite": 2,
-        "negative_colour": 1, "infinite_colour": 1,
+        "not_finite": 1, "colour_not_finite": 2, "negative_colour": 1, "infinite_colour": 1,
     }  # fmt: skip
-    assert one["n_skipped_points"] == one["n_invalid_points"] == 10 and one["unknown_because"] is None
+    assert one["n_skipped_points"] == one["n_invalid_points"] == 3 and one["unknown_because"] is None
     assert estimate(*asked) == 0
     assert "points left out or clamped: 1 (a plane depth or a position that is NaN" in capfd.readouterr().out
 

@@ -64,7 +64,7 @@ def test_light_through_a_window_comes_from_the_window_wherever_it_is_seen_from(o
     plane_depth_m = frame.plane_depth_m.copy()
     plane_depth_m[40:50, 60:90] = before_it
     cloud = unproject_frame(frame_of(plane_depth_m, CAMERA, frame.world_from_camera, frame.srgb_u8))
-    assert cloud.grid.far is None and sum(cloud.invalid.values()) == 20 * 30
+    assert cloud.grid.far is None and not cloud.invalid
     position_m = np.array([1.4, -0.3, 0.2])
     sampled = sample_unit_sphere(cloud, position_m, LATTICE)
     sky = is_sky(sampled)
