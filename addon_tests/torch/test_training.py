@@ -182,7 +182,9 @@ def test_a_cache_of_another_version_is_refused_in_one_line(caches, tmp_path, cap
         open_split(tmp_path / "old", "test")
     assert command_line.main(["report", "--clouds", str(tmp_path / "old")]) == 2
     said = capsys.readouterr().err
-    assert said.splitlines()[-1].startswith("xihe train: ") and f"version {CACHE_VERSION}, got 3" in said.splitlines()[-1]
+    assert (
+        said.splitlines()[-1].startswith("xihe train: ") and f"version {CACHE_VERSION}, got 3" in said.splitlines()[-1]
+    )
 
 
 def test_changes_are_of_any_angle_and_no_more_than_a_factor_of_4():
