@@ -94,7 +94,8 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
     of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
     """
-    depth_m = with_openings(frame.plane_depth_m, valid_plane_depth(frame.plane_depth_m))
+    valid = valid_plane_depth(frame.plane_depth_m)
+    depth_m = with_openings(frame.plane_depth_m, valid)
     points = _unprojected(frame, depth_m)
     gain = 1.0 if reference_exposure is None else reference_exposure / frame.exposure
     if frame.white_balance is not None:
@@ -107,7 +108,7 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     height, width, camera_m = frame.intrinsics.height, frame.intrinsics.width, frame.world_from_camera[:3, 3]
     openings, invalid = None, invalid_pixels(frame)
     if depth_m is not frame.plane_depth_m:
-        openings = np.flatnonzero(valid_plane_depth(depth_m) & ~valid_plane_depth(frame.plane_depth_m))
+        openings = np.flatnonzero(valid_plane_depth(depth_m) & ~valid)
         invalid = _without(invalid, len(openings))
     grid = PixelGrid(height, width, camera_m, _far_pixels(frame, depth_m), openings)
     return PointCloud(points.reshape(3, -1).T, srgb.reshape(-1, 3), invalid, grid)

@@ -87,9 +87,9 @@ def connected(inside: ArrayInt, shape: tuple[int, ...]) -> tuple[ArrayInt, int]:
     pairs = pairs[:, is_new]
     part = np.arange(np.count_nonzero(starts))
     while True:
-        joined = part.copy()
+        joined, lowest = part.copy(), part[pairs].min(axis=0)
         for side in pairs:
-            np.minimum.at(joined, part[side], part[pairs].min(axis=0))
+            np.minimum.at(joined, part[side], lowest)
         joined = joined[joined]
         if (joined == part).all():
             numbers, of_run = np.unique(part, return_inverse=True)

@@ -76,13 +76,13 @@ def test_the_lattice_network_can_learn_eight_clouds_by_heart():
     truth = torch.randn(8, 9, 3) * 0.2
     truth[:, 0] += 1.5
     net = LatticeNet()
-    optimiser = torch.optim.Adam(net.parameters(), lr=6e-3)
-    for _ in range(200):
+    optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
+    for _ in range(400):
         loss = (net(colours, distances, known)[0] - truth).square().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-    assert loss.sqrt() < 0.06  # of 0.24 at first
+    assert loss.sqrt() < 0.02
 
 
 def test_a_fresh_lattice_network_has_the_size_the_documentation_gives():
