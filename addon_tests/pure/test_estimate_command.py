@@ -134,6 +134,7 @@ def test_the_json_says_all_there_is_to_say(exr, answer):
     assert content.pop("exposure") > 0
     assert content.pop("frame") == {
         "size": [32, 24], "nearest_m": 1.5, "farthest_m": 3.0, "metres_per_unit": 1.0, "intrinsics_given_for": None,
+        "invalid": {},
     }  # fmt: skip
     assert content == {
         "schema_version": 1,
@@ -281,13 +282,18 @@ def test_pixels_that_give_no_point_are_counted_by_reason(folder, answer, capfd):
     plane_depth_m[2, :3], plane_depth_m[3, 0], plane_depth_m[4, :4] = 1e10, np.nan, 0.0
     broken = write_exr(folder / "broken.exr", radiance, plane_depth_m)
     asked = [broken, "--camera", folder / "camera.json", "--at", AT]
-    (one,) = answer(*asked)[0]["positions"]
+    made = answer(*asked)[0]
+    (one,) = made["positions"]
+    without_distance = {"not_finite": 1, "no_surface": 3, "no_distance": 4, "colour_not_finite": 2}
+    assert made["frame"]["invalid"] == without_distance
     assert one["invalid"] == {
         "not_finite": 1, "colour_not_finite": 2, "negative_colour": 1, "infinite_colour": 1,
     }  # fmt: skip
     assert one["n_skipped_points"] == one["n_invalid_points"] == 3 and one["unknown_because"] is None
     assert estimate(*asked) == 0
-    assert "points left out or clamped: 1 (a plane depth or a position that is NaN" in capfd.readouterr().out
+    said = capfd.readouterr().out
+    assert "pixels without a distance: " in said and "4 (" in said
+    assert "points left out or clamped: 1 (a plane depth or a position that is NaN" in said
 
 
 def test_a_light_that_cannot_be_known_is_black_and_says_why(folder, answer, capfd):

@@ -21,7 +21,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, written_whole
 from xihenet import __version__, estimators
 from xihenet.backend import LocalBackend, estimate_light
-from xihenet.camera import in_view, project_points, unproject_frame
+from xihenet.camera import in_view, invalid_pixels, project_points, unproject_frame
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.frame_files import FrameCamera, read_camera, read_frame
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
@@ -130,6 +130,7 @@ def _frame_facts(frame: RgbdFrame, camera: FrameCamera, unit_m: float) -> dict[s
         "farthest_m": float(seen.max()),
         "metres_per_unit": unit_m,
         "intrinsics_given_for": None if size == given_size else given_size,
+        "invalid": invalid_pixels(frame),
     }
 
 
@@ -207,7 +208,13 @@ def as_table(facts: dict[str, Any], placed: list[PlacedEstimate]) -> str:
     )
     if facts["intrinsics_given_for"] is not None:
         read += "\nintrinsics given for {intrinsics_given_for[0]}x{intrinsics_given_for[1]} pixels, scaled to these"
+    if facts["invalid"]:
+        read += f"\npixels without a distance: {_format_reasons(facts['invalid'])}"
     return "\n\n".join([read.format_map(facts), *map(_position_table, placed)])
+
+
+def _format_reasons(invalid: Counts) -> str:
+    return "; ".join(f"{n} ({format_reason(reason)})" for reason, n in invalid.items())
 
 
 def _position_table(one: PlacedEstimate) -> str:
@@ -219,8 +226,7 @@ def _position_table(one: PlacedEstimate) -> str:
         facts.append(f"the light cannot be known: {format_reason(light.unknown_because)}")
     rows = [f"{_format_position(one.position_m)}: {', '.join(facts)}"]
     if one.invalid:
-        reasons = [f"{n} ({format_reason(reason)})" for reason, n in one.invalid.items()]
-        rows.append(f"points left out or clamped: {'; '.join(reasons)}")
+        rows.append(f"points left out or clamped: {_format_reasons(one.invalid)}")
     rows.append(" l  m      red    green     blue")
     bands = [(band, m) for band in range(3) for m in range(-band, band + 1)]
     for (band, m), (red, green, blue) in zip(bands, light.sh_radiance, strict=True):
