@@ -48,7 +48,7 @@ from xihenet.training.rooms import (
 Sampling = Literal["sphere", "uniform", "farthest"]
 SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 AnyCloud = PointCloud | UnitSphereCloud
-CACHE_VERSION = 6
+CACHE_VERSION = 7
 ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
 """(9,) -1 for the spherical harmonics that change their sign with x."""
 
