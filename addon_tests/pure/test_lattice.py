@@ -23,7 +23,7 @@ from xihenet.estimators.lattice_format import (
 from xihenet.estimators.projection import Projection
 from xihenet.estimators.weights_format import save_weights
 from xihenet.npz_files import read_npz
-from xihenet.records import AnchorSurfaces, UnitSphereCloud
+from xihenet.records import FAR_M, AnchorSurfaces, UnitSphereCloud
 from xihenet.ring_grid import ring_grid, turns_of_light
 from xihenet.sh_basis import basis
 
@@ -50,15 +50,16 @@ def random_clouds(n, seed=0, n_clouds=6):
 
 
 def nasty_clouds(n):
-    """Nothing set, one anchor, black, white, one bright in black, far and near beyond measure."""
-    is_set = np.ones((7, n), bool)
+    """Nothing set, one anchor, black, white, one bright in black, far and near beyond measure, sky and a lamp."""
+    is_set = np.ones((8, n), bool)
     is_set[0] = False
     is_set[1] = np.arange(n) == n // 3
-    srgb = np.full((7, n, 3), 0.5, np.float32)
+    srgb = np.full((8, n, 3), 0.5, np.float32)
     srgb[2], srgb[3], srgb[4] = 0, 1, 0
     srgb[4, 7] = 1
-    distance_m = np.ones((7, n), np.float32)
+    distance_m = np.ones((8, n), np.float32)
     distance_m[5], distance_m[6] = 3e38, 0
+    srgb[7, : n // 4], distance_m[7, : n // 5] = 1, FAR_M
     return srgb * is_set[..., None], distance_m * is_set, is_set
 
 
@@ -119,12 +120,13 @@ def test_where_all_was_seen_the_projection_stays_as_it_is(weights_file):
     np.testing.assert_allclose(made, plain, atol=1e-5)
 
 
-def test_where_all_was_seen_light_is_added_to_what_is_clipped_alone_and_only_to_all_of_the_light(tmp_path):
+def test_where_all_was_seen_light_is_added_to_clipped_lamps_alone_and_only_to_all_of_the_light(tmp_path):
+    """Not to the sky in a window, which is as far away as what has no distance."""
     rng = np.random.default_rng(3)
-    srgb = rng.uniform(0.1, 0.9, (2, 1280, 3)).astype(np.float32)
-    distance_m, known = np.ones((2, 1280), np.float32), np.ones((2, 1280), bool)
-    srgb[1, :40] = 1
-    for target, is_added in (("ldr", [False, False]), ("hdr", [False, True])):
+    srgb = rng.uniform(0.1, 0.9, (3, 1280, 3)).astype(np.float32)
+    distance_m, known = np.ones((3, 1280), np.float32), np.ones((3, 1280), bool)
+    srgb[1:, :40], distance_m[2, :40] = 1, FAR_M
+    for target, is_added in (("ldr", [False] * 3), ("hdr", [False, True, False])):
         weights = random_weights(5, target, LatticeArchitecture(opens_clipped=target == "hdr"))
         weights.arrays["radiance.weight"][:] *= 10
         save_weights(tmp_path / f"{target}.npz", weights)

@@ -24,6 +24,7 @@ from xihenet.estimators.lattice import (
     FARTHEST_M,
     MOST_ADDED,
     NEAREST_M,
+    SKY_FROM_M,
     SMALLEST_ERROR,
     SMALLEST_MEAN,
     SMALLEST_SHARE,
@@ -91,8 +92,10 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         mean_code = code.mean(1)
         raw = self.layer("error")(torch.relu(self.layer("error_hidden")(mean_code.detach())))[:, 0]
         expected_error = nn.functional.softplus(raw) * level.mean((1, 2)) + SMALLEST_ERROR
-        closed = known * (1 - clipped) if self.architecture.opens_clipped else known
-        added_level = self._lit_level(linear, closed, level) if self.architecture.opens_clipped else level
+        closed, added_level = known, level
+        if self.architecture.opens_clipped:
+            closed = known * (1 - clipped * (distance_m < SKY_FROM_M).float())
+            added_level = self._lit_level(linear, known * (1 - clipped), level)
         unseen = contrast * (1 - closed.mean(1))
         gate = unseen[:, None] * torch.tanh(self.layer("gate")(mean_code)[:, GATE_OF])
         radiance = self._radiance(middle, aside, code, self._share(closed)) * contrast[:, None, None]
