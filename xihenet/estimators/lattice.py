@@ -7,10 +7,10 @@ added: constant light comes out constant, one set anchor gives its colour from e
 added is no larger than twice the error that the network expects of itself.
 
 It is added where nothing was seen and, in all of the light, where anchors are clipped (`opens_clipped`) and have a
-distance: how far the sky in a window lies above white, nothing in the room tells but the sun. A clipped lamp
-is white in the picture; what surfaces that are not clipped show of it has its colour. So what is added has that, by
-shades of grey: the mean of their fourth powers (Finlayson and Trezzi, Shades of Gray and Colour Constancy, 2004), by
-which the brightest count most.
+distance. The sky in a window has none; taken for a lamp, it made rooms in daylight too bright. A clipped lamp is white
+in the picture; what surfaces that are not clipped show of it has its colour. So what is added has that, by shades of
+grey: the mean of their fourth powers (Finlayson and Trezzi, Shades of Gray and Colour Constancy, 2004), by which the
+brightest count most.
 
 What must not matter does not, by construction. Each channel is taken relative to its own mean, so that exposure and
 white balance act on the light as on the pictures, unless something is clipped. The layers that see the whole sphere see
@@ -48,7 +48,7 @@ from xihenet.estimators.lattice_format import (
     slot_order,
 )
 from xihenet.estimators.weights_format import loaded_for
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, UnitSphereCloud
+from xihenet.records import FAR_M, ArrayBool, ArrayF32, ArrayF64, UnitSphereCloud
 from xihenet.ring_grid import N_TURNS, ring_grid, turns_of_light
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
@@ -57,7 +57,7 @@ CONTRAST_SCALE = 0.02  # Relative spread of the seen light at which the network 
 CLIPPED_FROM = 0.995
 NEAREST_M = 0.05
 FARTHEST_M = 100.0  # The test rooms end at 8 m. Unclipped, 1e38 m made a light of 16 times white.
-SKY_FROM_M = 48.0  # Light without a distance, `xihenet.records.FAR_M` away, also if it is carried some way.
+SKY_FROM_M = 0.75 * FAR_M  # Light without a distance, also if it has been carried some way.
 SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
@@ -241,8 +241,7 @@ class LatticeNetwork:
         gate, error_hidden = self._layers.from_mean_code(code.mean(axis=1))
         raw = self._layers.dense("error", _rectified(error_hidden))[:, 0]
         expected_error = np.logaddexp(raw, 0) * level.mean(axis=0) + SMALLEST_ERROR
-        lamps = inputs[_CLIPPED] * (inputs[_DISTANCE] < np.float32(np.log(SKY_FROM_M)))
-        open_share, unseen = self._open(lamps, known, counted_once, decoder_inputs[-4])
+        open_share, unseen = self._open(inputs, known, counted_once, decoder_inputs[-4])
         added_level = level
         if self._opens_clipped:
             added_level = _lit_level(linear, counted_once * (1 - inputs[_CLIPPED]), level)
@@ -354,9 +353,10 @@ class LatticeNetwork:
         turned_back = by_cell[:, np.arange(N_TURNS)[:, None], self._turned_back]
         return np.ascontiguousarray(turned_back.mean(axis=1).transpose(2, 0, 1))
 
-    def _open(self, lamps: ArrayF32, known: ArrayF32, counted: ArrayF32, seen: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
+    def _open(self, inputs: ArrayF32, known: ArrayF32, counted: ArrayF32, seen: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
         """What light may be added to: (B, n) of the middle cells, and (B,) of the sphere; `seen` is of the cells."""
         if self._opens_clipped:
+            lamps = inputs[_CLIPPED] * (inputs[_DISTANCE] < np.float32(np.log(SKY_FROM_M + NEAREST_M)))
             fine = self._to_fine.sums(known * (1 - lamps)) / self._to_fine.counts
             seen, counted = _product(fine, self._to_middle), counted * (1 - lamps)
         return 1 - seen, 1 - counted.sum(axis=1) / np.float32(self.n_anchors)
