@@ -4,45 +4,83 @@ Two clouds per position: the temporary one merges every frame since the last fir
 when the trigger fires, and the estimate is made from the persistent one after that merge. The trigger compares the two.
 Both are replaced, never changed, so a report can keep the clouds it was made from.
 
-Paper: section 4.2.1 and `Merging` in its figure 7.
+A frame from another side sees surfaces that something hides from the position, and need not see what hides them. So
+what lies behind what is known does not replace it (`in_sight`), unless the frame sees through the place where that was.
+
+Paper: section 4.2.1 and `Merging` in its figure 7, in which whatever is newer wins.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from xihenet.records import FAR_FROM_M, AnchorSurfaces, ArrayBool, ArrayF64, UnitSphereCloud
+from xihenet.camera import sees_through
+from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_again
 from xihenet.sphere import AnchorLattice
+
+BEHIND_FROM = 1.5
+"""A surface is behind another one from so many times its distance on. Less may be noise: that of a table 5 cm away."""
+
+
+class Sight(NamedTuple):
+    """A frame, and the position (3,), world, metres, whose anchors are those of `lattice`."""
+
+    frame: RgbdFrame
+    position_m: ArrayLike
+    lattice: AnchorLattice
 
 
 def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     """`old` with every anchor that `new` sets replaced by `new`'s colour, distance and surface; nothing is averaged.
 
-    What is far away in `new` (`FAR_FROM_M`) lies behind what is near in `old` and does not replace it. Where one of
-    them has no surfaces, those of its anchors are unknown (0). Both have N anchors (ValueError otherwise). What is
-    invalid is that of `new`: it belongs to a frame.
+    Where one of them has no surfaces, those of its anchors are unknown (0). Both have N anchors (ValueError otherwise).
+    What is invalid is that of `new`: it belongs to a frame.
     """
     if len(old) != len(new):
         raise ValueError(f"merge: expected clouds with as many anchors, got {len(old)} and {len(new)}")
-    taken = _taken(old, new)
-    return _merged(old, new, taken, _merged_surfaces(old, new, taken))
+    return _merged(old, new, _merged_surfaces(old, new, new.is_set))
 
 
-def _taken(old: UnitSphereCloud, new: UnitSphereCloud) -> ArrayBool:
-    """(N,) anchors that are as in `new` after merging."""
-    is_far = new.distance_m >= FAR_FROM_M
-    if not np.count_nonzero(is_far):  # As in most rooms
-        return new.is_set
-    taken: ArrayBool = new.is_set & ~(is_far & old.is_set & (old.distance_m < FAR_FROM_M))
-    return taken
+def in_sight(old: UnitSphereCloud, new: UnitSphereCloud, sight: Sight | None = None) -> UnitSphereCloud:
+    """`new` without the anchors that lie behind `old`'s: something nearer hides them from the position.
+
+    With the `sight` from which `new` comes they stay where its frame sees through the place at which `old`'s were: what
+    hid them is gone. Both have N anchors (ValueError otherwise).
+    """
+    if len(old) != len(new):
+        raise ValueError(f"in_sight: expected clouds with as many anchors, got {len(old)} and {len(new)}")
+    return _without_hidden(old.distance_m, old.is_set, new, sight)
 
 
-def _merged(
-    old: UnitSphereCloud, new: UnitSphereCloud, taken: ArrayBool, surfaces: AnchorSurfaces | None
+def merge_in_sight(old: UnitSphereCloud, new: UnitSphereCloud, sight: Sight | None = None) -> UnitSphereCloud:
+    """`merge` of `old` and what of `new` is `in_sight`."""
+    return merge(old, in_sight(old, new, sight))
+
+
+def _without_hidden(
+    known_m: ArrayF32, is_known: ArrayBool, new: UnitSphereCloud, sight: Sight | None
 ) -> UnitSphereCloud:
+    """`in_sight`, of the distances (N,) of what is known."""
+    with np.errstate(over="ignore"):  # Nothing is behind what is at the end of float32.
+        limit_m = known_m * np.float32(BEHIND_FROM)
+    hidden = np.flatnonzero(is_known & new.is_set & (new.distance_m > limit_m))
+    if sight is not None and hidden.size:
+        points_m = sight.lattice.directions[hidden] * known_m[hidden, None] + np.asarray(sight.position_m, np.float64)
+        hidden = hidden[~sees_through(points_m, sight.frame)]
+    if not hidden.size:
+        return new
+    seen = new.is_set.copy()
+    seen[hidden] = False
+    return replace(new, srgb=new.srgb * seen[:, None], distance_m=new.distance_m * seen, is_set=seen)
+
+
+def _merged(old: UnitSphereCloud, new: UnitSphereCloud, surfaces: AnchorSurfaces | None) -> UnitSphereCloud:
+    taken = new.is_set
     # Channel by channel side by side, in half the time of a choice by rows.
     srgb = np.where(taken.repeat(3), new.srgb.reshape(-1), old.srgb.reshape(-1)).reshape(-1, 3)
     distance_m = np.where(taken, new.distance_m, old.distance_m)
@@ -76,12 +114,11 @@ class PositionBuffers:
         nothing = UnitSphereCloud.empty(n_anchors)
         return cls(nothing, nothing)
 
-    def in_sight(self, sampled: UnitSphereCloud) -> UnitSphereCloud:
-        """`sampled` without what is far away behind what was seen near before: it is no change of the light."""
-        seen = sampled.is_set & _taken(self.persistent, sampled) & _taken(self.temporary, sampled)
-        if (seen == sampled.is_set).all():
-            return sampled
-        return replace(sampled, srgb=sampled.srgb * seen[:, None], distance_m=sampled.distance_m * seen, is_set=seen)
+    def in_sight(self, sampled: UnitSphereCloud, sight: Sight | None = None) -> UnitSphereCloud:
+        """`sampled`, of a frame, without what lies behind what was last seen: it is no change of the light."""
+        old, new = self.persistent, self.temporary
+        known_m = np.where(new.is_set, new.distance_m, old.distance_m)
+        return _without_hidden(known_m, old.is_set | new.is_set, sampled, sight)
 
     def with_frame(self, sampled: UnitSphereCloud) -> PositionBuffers:
         """After one more frame was sampled."""
@@ -93,12 +130,12 @@ class PositionBuffers:
 
     def moved(self, by_m: ArrayF64, lattice: AnchorLattice) -> PositionBuffers:
         """After the position moved `by_m` (3,): both clouds as they look from there."""
-        return PositionBuffers(*(sample_again(cloud, by_m, lattice) for cloud in (self.temporary, self.persistent)))
+        temporary, persistent = (sample_again(cloud, by_m, lattice) for cloud in (self.temporary, self.persistent))
+        return PositionBuffers(in_sight(persistent, temporary), persistent)
 
     def last_seen(self) -> UnitSphereCloud:
         """Every anchor as it was last seen, whether or not the light in force was made from it; without surfaces."""
-        old, new = self.persistent, self.temporary
-        return _merged(old, new, _taken(old, new), None)
+        return _merged(self.persistent, self.temporary, None)
 
     def coverage(self) -> float:
         """Share of the anchors that are known, whether or not the light in force was made from them."""

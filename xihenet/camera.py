@@ -27,6 +27,7 @@ from xihenet.records import Intrinsics as Intrinsics
 
 MISS_PLANE_DEPTH_M = 1e9  # At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit
 NEGLIGIBLE_M = 1e-6  # What rounding a camera's place to float32 costs stays below it within 16 m of the origin
+THROUGH_FROM = 1.1  # Depth, times that of a point, from which there is nothing at the point
 SMALLEST_VOLUME = 1e-12  # Of the box of a camera's axes of length 1; flatter ones cannot be inverted
 
 
@@ -214,6 +215,26 @@ def in_view(points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: Arra
     pixels, plane_depth_m = project_points(points_m, intrinsics, world_from_camera)
     inside = (pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height])
     result: ArrayBool = inside.all(axis=1) & (plane_depth_m > 0)
+    return result
+
+
+def sees_through(points_m: ArrayLike, frame: RgbdFrame) -> ArrayBool:
+    """(P,) bool: at which points (P, 3) of the world there is nothing, since the frame sees surfaces behind them.
+
+    All nine pixels about a point have to be clearly behind it, or an edge of the surface would not count. False where
+    the frame does not look, something is in between, or one of the nine has no plane depth.
+    """
+    pixels, plane_depth_m = project_points(points_m, frame.intrinsics, frame.world_from_camera)
+    height, width = frame.plane_depth_m.shape
+    with np.errstate(invalid="ignore"):  # What lies behind the camera has no pixel.
+        inside = ((pixels >= 1) & (pixels < [width - 1, height - 1])).all(axis=1) & (plane_depth_m > 0)
+    looked_at = np.flatnonzero(inside)
+    column, row = pixels[looked_at].astype(np.intp).T[..., None, None]
+    around = np.arange(-1, 2)
+    nearby_m = frame.plane_depth_m[row + around[:, None], column + around]
+    limit_m = plane_depth_m[looked_at, None, None] * THROUGH_FROM
+    result = np.zeros(len(inside), np.bool_)
+    result[looked_at] = ((nearby_m > limit_m) & valid_plane_depth(nearby_m)).all(axis=(1, 2))
     return result
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.backend import LightBackend, as_inference_backend, estimate_light, estimate_lights
-from xihenet.buffers import PositionBuffers, merge
+from xihenet.buffers import PositionBuffers, Sight, merge, merge_in_sight
 from xihenet.camera import in_view, unproject_frame
 from xihenet.carried_light import CarriedLight
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
@@ -197,7 +197,7 @@ class XiheController:
         if points is None:
             with clock.stage("unproject"):
                 points = unproject_frame(frame, reference_exposure=self.reference_exposure)
-        self._reflect([*active, *learning], points, clock)
+        self._reflect([*active, *learning], frame, points, clock)
         looks = []
         for name in active:
             looks.append(self._look(name, frame, points, (truth or {}).get(name), clock))
@@ -205,11 +205,11 @@ class XiheController:
         self._ask([look for look in looks if look.context is not None])
         reports = {name: self._answered(look) for name, look in zip(active, looks, strict=True)}
         for name in learning:
-            self._learn(name, points, clock)
+            self._learn(name, frame, points, clock)
         self.out_of_view_ms = clock.stage_ms
         return reports
 
-    def _reflect(self, names: Sequence[str], points: PointCloud, clock: StageClock) -> None:
+    def _reflect(self, names: Sequence[str], frame: RgbdFrame, points: PointCloud, clock: StageClock) -> None:
         """Take the frame in on the finer lattice, where the session has one; nothing of it is sent."""
         if self.fine_lattice is None:
             return
@@ -218,14 +218,15 @@ class XiheController:
             for position in (self._positions[name] for name in names):
                 sampled = sample_unit_sphere(points, position.position_m, self.fine_lattice, with_surfaces=False)
                 assert position.reflected is not None
-                position.reflected = merge(position.reflected, sampled)
+                sight = Sight(frame, position.position_m, self.fine_lattice)
+                position.reflected = merge_in_sight(position.reflected, sampled, sight)
 
-    def _learn(self, name: str, points: PointCloud, clock: StageClock) -> None:
+    def _learn(self, name: str, frame: RgbdFrame, points: PointCloud, clock: StageClock) -> None:
         position = self._positions[name]
         with clock.stage("sample"):
             sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
-            sampled = position.buffers.in_sight(sampled)
+            sampled = position.buffers.in_sight(sampled, Sight(frame, position.position_m, self.lattice))
             position.buffers = position.buffers.with_frame(sampled)
             position.see(sampled, self.lattice)
 
@@ -237,7 +238,7 @@ class XiheController:
         with clock.stage("sample"):
             sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
-            sampled = position.buffers.in_sight(sampled)
+            sampled = position.buffers.in_sight(sampled, Sight(frame, position.position_m, self.lattice))
             buffers = position.buffers.with_frame(sampled)
         with clock.stage("trigger"):
             before, now = buffers.persistent, buffers.temporary

@@ -14,7 +14,7 @@ from functools import reduce
 
 import numpy as np
 
-from xihenet.buffers import merge
+from xihenet.buffers import Sight, merge_in_sight
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.estimators import Estimator
 from xihenet.left_out import N_PARTS, left_out_error
@@ -101,7 +101,8 @@ def score_session(
         reference_exposure = reference_exposure or frame.exposure
         points, part = unproject_frame(frame, reference_exposure=reference_exposure), number * N_PARTS // n_frames
         for place_m, parts in zip(places_m, shown, strict=True):
-            parts[part] = merge(parts[part], sample_unit_sphere(points, place_m, lattice))
+            sampled = sample_unit_sphere(points, place_m, lattice)
+            parts[part] = merge_in_sight(parts[part], sampled, Sight(frame, place_m, lattice))
     errors = {name: [_error_of_place(parts, one) for parts in shown] for name, one in estimators.items()}
     first = next(iter(errors.values()))
     asked = [k for k, error in enumerate(first) if error is not None]
@@ -115,7 +116,7 @@ def _error_of_place(parts: Sequence[UnitSphereCloud], estimator: Estimator) -> f
     """None where no part can be asked."""
     squares = []
     for number, left_out in enumerate(parts):
-        given = reduce(merge, [part for k, part in enumerate(parts) if k != number])
+        given = reduce(merge_in_sight, [part for k, part in enumerate(parts) if k != number])
         if given.is_set.any():
             error = left_out_error(estimator.estimate(given), given, left_out)
             squares += [] if error is None else [error**2]

@@ -34,7 +34,7 @@ from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
 from xihe_blender.previs.settings import PrevisSettings
-from xihenet.buffers import merge
+from xihenet.buffers import merge_in_sight
 from xihenet.camera import unproject_frame
 from xihenet.colour import srgb_to_linear
 from xihenet.light.key_light import LUMINANCE
@@ -96,7 +96,7 @@ def estimates(run: PreparedRun, walked: WalkedPath, probe: Probe) -> Iterator[tu
             continue
         captured = load_frame(run.outputs.capture(entry.frame))
         points = thinned(unproject_frame(captured, reference_exposure=run.exposure))
-        known = merge(known, sample_unit_sphere(points, probe.at(entry.frame), LATTICE))
+        known = merge_in_sight(known, sample_unit_sphere(points, probe.at(entry.frame), LATTICE))
         clouds[entry.frame] = known
         if told.light_frame not in (None, last):
             last = told.light_frame

@@ -25,7 +25,7 @@ from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.lab.rooms.views import RoomRays
 from xihe_blender.scene.blend_file import open_blend
 from xihenet import estimators
-from xihenet.buffers import merge
+from xihenet.buffers import merge_in_sight
 from xihenet.camera import in_view, unproject_frame
 from xihenet.metrics import shc_rmse
 from xihenet.records import UnitSphereCloud
@@ -138,7 +138,7 @@ def measure(seen: Any, size: int) -> tuple[list[float], dict[str, list[float]]]:
             n_leaks += [are_leaks(cloud, seen["ray_distance_m"][i], seen["is_seen"][k, i]).sum() for cloud in clouds]
             note("one view", i, clouds)
             before = merged.get(i, [UnitSphereCloud.empty(LATTICE.n)] * 2)
-            merged[i] = [merge(old, new) for old, new in zip(before, clouds, strict=True)]
+            merged[i] = [merge_in_sight(old, new) for old, new in zip(before, clouds, strict=True)]
     for i, clouds in merged.items():
         note("merged", i, clouds)
     return (100 * n_leaks / n_set).tolist(), {name: np.mean(found, axis=0).tolist() for name, found in errors.items()}

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xihenet import estimators
-from xihenet.buffers import merge
+from xihenet.buffers import merge_in_sight
 from xihenet.camera import metered_exposure, sensed_ambient, unproject_frame
 from xihenet.colour import srgb_to_linear
 from xihenet.metrics import shc_rmse
@@ -126,7 +126,7 @@ def score(
                 context = estimators.EstimateContext(frame=frames[v], reference_exposure=reference)
                 sampled = sample_unit_sphere(points[v], position_m, lattice)
                 one_view.append(shc_rmse(estimator.estimate(sampled, context), session.truth[p]))
-                cloud = merge(cloud, sampled)
+                cloud = merge_in_sight(cloud, sampled)
             if session.counts[:, p].any():
                 merged.append(shc_rmse(estimator.estimate(cloud, context), session.truth[p]))
     return Scores(np.array(one_view), np.array(merged), float(np.mean(lost)), float(np.median(ms)))

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xihenet import estimators
-from xihenet.buffers import merge
+from xihenet.buffers import merge_in_sight
 from xihenet.camera import unproject_frame
 from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
@@ -60,7 +60,7 @@ def seen_in(path: Path) -> Iterator[Seen]:
             faced = sample_unit_sphere(points, position_m, LATTICE)
             plain = sample_unit_sphere(replace(points, grid=None), position_m, LATTICE)
             clouds = [plain, replace(faced, surfaces=None), faced]
-            merged = [merge(old, new) for old, new in zip(merged, clouds, strict=True)]
+            merged = [merge_in_sight(old, new) for old, new in zip(merged, clouds, strict=True)]
             yield Seen("one view", clouds, context, truths)
         if len(shown) > 1:
             yield Seen("all views", merged, context, truths)

@@ -6,7 +6,7 @@ import pytest
 from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of, random_cloud
 from xihenet import estimators
 from xihenet.backend import LocalBackend
-from xihenet.buffers import merge
+from xihenet.buffers import merge_in_sight
 from xihenet.camera import project_points, unproject_frame
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.records import FAR_FROM_M, FAR_M, Intrinsics, UnitSphereCloud
@@ -117,12 +117,12 @@ def test_far_light_replaces_nothing_near_and_gives_way_to_it():
     rng = np.random.default_rng(1)
     near, later = random_cloud(rng, 64), random_cloud(rng, 64)
     far = UnitSphereCloud(later.srgb, FAR_M * later.is_set, later.is_set)
-    behind = merge(near, far)
+    behind = merge_in_sight(near, far)
     np.testing.assert_array_equal(behind.srgb, np.where(near.is_set[:, None], near.srgb, far.srgb))
     np.testing.assert_array_equal(behind.is_set, near.is_set | far.is_set)
-    before = merge(far, near)
+    before = merge_in_sight(far, near)
     np.testing.assert_array_equal(before.distance_m, np.where(near.is_set, near.distance_m, far.distance_m))
-    np.testing.assert_array_equal(merge(far, far).srgb, far.srgb)
+    np.testing.assert_array_equal(merge_in_sight(far, far).srgb, far.srgb)
 
 
 def test_far_light_behind_what_was_seen_near_fires_nothing():

@@ -72,7 +72,7 @@ from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.budget import write_budget_report
 from xihe_blender.scene.state import scene_kept
 from xihenet import estimators
-from xihenet.buffers import merge
+from xihenet.buffers import merge_in_sight
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.records import ArrayF64, PointCloud, UnitSphereCloud
@@ -328,7 +328,7 @@ def lights_from_all_around(estimator: Estimator, views: Sequence[View], exposure
     clouds = [with_radiance(sight(seen, exposure).points, radiance, lower) for seen, radiance in views]
     nearest = UnitSphereCloud.empty(estimator.n_anchors)
     for cloud in clouds:
-        nearest = merge(nearest, sample_unit_sphere(cloud, position_m, lattice))
+        nearest = merge_in_sight(nearest, sample_unit_sphere(cloud, position_m, lattice))
     colours = linear_to_srgb(np.clip(means_of_anchors(views, lattice) * lower, 0, 1)).astype(np.float32)
     means = replace(nearest, srgb=colours * nearest.is_set[:, None])
     sensed = np.maximum(light_of_views(views)[0], 0) / np.sqrt(4 * np.pi)
