@@ -27,7 +27,7 @@ BEHIND_FROM = 1.5
 """A surface is behind another one from so many times its distance on. Less may be noise: that of a table 5 cm away."""
 
 
-class Sight(NamedTuple):
+class FrameAtPosition(NamedTuple):
     """A frame, and the position (3,), world, metres, whose anchors are those of `lattice`."""
 
     frame: RgbdFrame
@@ -46,7 +46,7 @@ def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     return _merged(old, new, _merged_surfaces(old, new, new.is_set))
 
 
-def in_sight(old: UnitSphereCloud, new: UnitSphereCloud, sight: Sight | None = None) -> UnitSphereCloud:
+def in_sight(old: UnitSphereCloud, new: UnitSphereCloud, sight: FrameAtPosition | None = None) -> UnitSphereCloud:
     """`new` without the anchors that lie behind `old`'s: something nearer hides them from the position.
 
     With the `sight` from which `new` comes they stay where its frame sees through the place at which `old`'s were: what
@@ -57,13 +57,13 @@ def in_sight(old: UnitSphereCloud, new: UnitSphereCloud, sight: Sight | None = N
     return _without_hidden(old.distance_m, old.is_set, new, sight)
 
 
-def merge_in_sight(old: UnitSphereCloud, new: UnitSphereCloud, sight: Sight | None = None) -> UnitSphereCloud:
+def merge_in_sight(old: UnitSphereCloud, new: UnitSphereCloud, sight: FrameAtPosition | None = None) -> UnitSphereCloud:
     """`merge` of `old` and what of `new` is `in_sight`."""
     return merge(old, in_sight(old, new, sight))
 
 
 def _without_hidden(
-    known_m: ArrayF32, is_known: ArrayBool, new: UnitSphereCloud, sight: Sight | None
+    known_m: ArrayF32, is_known: ArrayBool, new: UnitSphereCloud, sight: FrameAtPosition | None
 ) -> UnitSphereCloud:
     """`in_sight`, of the distances (N,) of what is known."""
     with np.errstate(over="ignore"):  # Nothing is behind what is at the end of float32.
@@ -76,7 +76,7 @@ def _without_hidden(
         return new
     seen = new.is_set.copy()
     seen[hidden] = False
-    return replace(new, srgb=new.srgb * seen[:, None], distance_m=new.distance_m * seen, is_set=seen)
+    return UnitSphereCloud.trusted(new.srgb * seen[:, None], new.distance_m * seen, seen, new.invalid, new.surfaces)
 
 
 def _merged(old: UnitSphereCloud, new: UnitSphereCloud, surfaces: AnchorSurfaces | None) -> UnitSphereCloud:
@@ -114,7 +114,7 @@ class PositionBuffers:
         nothing = UnitSphereCloud.empty(n_anchors)
         return cls(nothing, nothing)
 
-    def in_sight(self, sampled: UnitSphereCloud, sight: Sight | None = None) -> UnitSphereCloud:
+    def in_sight(self, sampled: UnitSphereCloud, sight: FrameAtPosition | None = None) -> UnitSphereCloud:
         """`sampled`, of a frame, without what lies behind what was last seen: it is no change of the light."""
         old, new = self.persistent, self.temporary
         known_m = np.where(new.is_set, new.distance_m, old.distance_m)

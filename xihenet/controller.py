@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.backend import LightBackend, as_inference_backend, estimate_light, estimate_lights
-from xihenet.buffers import PositionBuffers, Sight, merge, merge_in_sight
+from xihenet.buffers import FrameAtPosition, PositionBuffers, merge, merge_in_sight
 from xihenet.camera import in_view, unproject_frame
 from xihenet.carried_light import CarriedLight
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
@@ -218,7 +218,7 @@ class XiheController:
             for position in (self._positions[name] for name in names):
                 sampled = sample_unit_sphere(points, position.position_m, self.fine_lattice, with_surfaces=False)
                 assert position.reflected is not None
-                sight = Sight(frame, position.position_m, self.fine_lattice)
+                sight = FrameAtPosition(frame, position.position_m, self.fine_lattice)
                 position.reflected = merge_in_sight(position.reflected, sampled, sight)
 
     def _learn(self, name: str, frame: RgbdFrame, points: PointCloud, clock: StageClock) -> None:
@@ -226,7 +226,7 @@ class XiheController:
         with clock.stage("sample"):
             sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
-            sampled = position.buffers.in_sight(sampled, Sight(frame, position.position_m, self.lattice))
+            sampled = position.buffers.in_sight(sampled, FrameAtPosition(frame, position.position_m, self.lattice))
             position.buffers = position.buffers.with_frame(sampled)
             position.see(sampled, self.lattice)
 
@@ -238,7 +238,7 @@ class XiheController:
         with clock.stage("sample"):
             sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
-            sampled = position.buffers.in_sight(sampled, Sight(frame, position.position_m, self.lattice))
+            sampled = position.buffers.in_sight(sampled, FrameAtPosition(frame, position.position_m, self.lattice))
             buffers = position.buffers.with_frame(sampled)
         with clock.stage("trigger"):
             before, now = buffers.persistent, buffers.temporary

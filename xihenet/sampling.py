@@ -49,6 +49,8 @@ from xihenet.records import (
 from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 
 LARGEST_FLOAT32 = np.finfo(np.float32).max
+MOST_ASIDE = np.radians(50)
+"""The light from far away that is seen through an opening is taken for that of directions up to this angle beside."""
 _NO_POINT = np.uint64(2**64 - 1)
 _INFINITY_KEY = np.uint64(int(np.float32(np.inf).view(np.uint32)) << 32)
 
@@ -96,7 +98,7 @@ def sample_unit_sphere(
                 cloud, cloud.grid.far, camera, is_set, winners, nearest_m, surfaces, nearest
             )
         if cloud.grid.openings is not None:
-            surfaces = _with_openings(cloud.grid.openings, len(cloud.srgb), is_set, winners, nearest_m, surfaces)
+            winners, surfaces = _with_openings(cloud, is_set, winners, nearest_m, surfaces, lattice, nearest)
     nearest_m[~is_set] = 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)
@@ -154,21 +156,62 @@ def _with_far_light(
 
 
 def _with_openings(
-    openings: ArrayInt, n_pixels: int, is_set: ArrayBool, winners: ArrayInt, distance_m: ArrayF32,
-    surfaces: AnchorSurfaces | None,
-) -> AnchorSurfaces | None:  # fmt: skip
+    cloud: PointCloud, is_set: ArrayBool, winners: ArrayInt, distance_m: ArrayF32, surfaces: AnchorSurfaces | None,
+    lattice: AnchorLattice, nearest: Callable[[ArrayF32], ArrayInt],
+) -> tuple[ArrayInt, AnchorSurfaces | None]:  # fmt: skip
     """What anchors show through an opening is far away, though it competes where the opening is.
 
+    Light from far away depends on its direction and not on the place. So such an anchor shows the pixel of an opening
+    that looks in its own direction, or of those that look within `MOST_ASIDE` of it the one that comes closest.
     `distance_m` (N,) is changed in place; `winners` are the pixels of the anchors `is_set`, in order.
     """
-    is_opening = np.zeros(n_pixels, np.bool_)  # numpy.isin sorts, which takes 20 times as long.
-    is_opening[openings] = True
+    assert cloud.grid is not None and cloud.grid.openings is not None
+    is_opening = np.zeros(len(cloud.srgb), np.bool_)  # numpy.isin sorts, which takes 20 times as long.
+    is_opening[cloud.grid.openings] = True
     through = np.zeros(len(is_set), np.bool_)
     through[is_set] = is_opening.take(winners)
     distance_m[through] = np.maximum(distance_m[through], np.float32(FAR_M))
-    if surfaces is None:
-        return None
-    return _seen_from_afar(surfaces, through, -surfaces.view_direction[through])
+    shown = through[is_set]
+    winners = winners.copy()
+    winners[shown] = _by_direction(cloud, winners[shown], np.flatnonzero(through), lattice, nearest)
+    if surfaces is not None:
+        surfaces = _seen_from_afar(surfaces, through, _rays(cloud, winners[shown]))
+    return winners, surfaces
+
+
+def _by_direction(
+    cloud: PointCloud, pixels: ArrayInt, anchors: ArrayInt, lattice: AnchorLattice,
+    nearest: Callable[[ArrayF32], ArrayInt],
+) -> ArrayInt:  # fmt: skip
+    """(M,) pixels of openings that look where the anchors (M,) lie; `pixels` (M,) where none does."""
+    assert cloud.grid is not None and cloud.grid.openings is not None
+    openings, rays = cloud.grid.openings, _rays(cloud, cloud.grid.openings)
+    is_usable = np.isfinite(rays).all(axis=1) & np.isfinite(cloud.srgb[openings]).all(axis=1)
+    openings, rays = openings[is_usable], rays[is_usable]
+    if not len(openings) or not len(anchors):
+        return pixels
+    cells = nearest(np.ascontiguousarray(rays.T, np.float32))
+    cosines = (rays * lattice.directions[cells]).sum(axis=1)
+    best = np.full(lattice.n, -np.inf)
+    np.maximum.at(best, cells, cosines)
+    is_best = np.flatnonzero(cosines == best[cells])
+    first = np.full(lattice.n, len(openings))
+    np.minimum.at(first, cells[is_best], is_best)
+    looked = np.flatnonzero(first < len(openings))
+    # Not a product of matrices: that wakes BLAS threads.
+    aside = np.einsum("mc,kc->mk", lattice.directions[anchors], lattice.directions[looked])
+    closest = aside.argmax(axis=1)
+    is_near = aside[np.arange(len(anchors)), closest] >= np.cos(MOST_ASIDE)
+    return np.where(is_near, openings[first[looked[closest]]], pixels)
+
+
+def _rays(cloud: PointCloud, pixels: ArrayInt) -> ArrayF64:
+    """(K, 3) unit, from the camera through pixels (K,); NaN where they have no point."""
+    assert cloud.grid is not None
+    rays = cloud.points_m[pixels].astype(np.float64) - cloud.grid.camera_m
+    with np.errstate(invalid="ignore"):  # A point in the camera itself has no ray: NaN says so.
+        unit: ArrayF64 = rays / np.sqrt((rays * rays).sum(axis=1, keepdims=True))
+    return unit
 
 
 def _seen_from_afar(surfaces: AnchorSurfaces, is_far: ArrayBool, rays: ArrayLike) -> AnchorSurfaces:
@@ -247,12 +290,31 @@ def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, latti
     if surfaces is not None and cloud.grid is not None and cloud.grid.openings is not None:
         through = np.isin(winner, cloud.grid.openings)
         nearest_m = np.where(through, np.maximum(nearest_m, np.float32(FAR_M)), nearest_m)
-        surfaces = _seen_from_afar(surfaces, through, -surfaces.view_direction[through])
+        looking = _looking_through(cloud, lattice)
+        for anchor in np.flatnonzero(through):
+            cosines = {cell: float(lattice.directions[cell] @ lattice.directions[anchor]) for cell in sorted(looking)}
+            closest = max(cosines, key=lambda cell: cosines[cell], default=None)
+            if closest is not None and cosines[closest] >= np.cos(MOST_ASIDE):
+                winner[anchor] = looking[closest]
+        surfaces = _seen_from_afar(surfaces, through, _rays(cloud, winner[through]))
     is_set = winner >= 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb[winner[is_set]].clip(0, 1)
     invalid = added([cloud.invalid, _reasons(cloud, distance_m)])
     return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, invalid, surfaces)
+
+
+def _looking_through(cloud: PointCloud, lattice: AnchorLattice) -> dict[int, int]:
+    """By anchor, the pixel of an opening that looks closest to its direction, of those to which it is the nearest."""
+    assert cloud.grid is not None and cloud.grid.openings is not None
+    looking: dict[int, tuple[float, int]] = {}
+    for pixel, ray in zip(cloud.grid.openings.tolist(), _rays(cloud, cloud.grid.openings), strict=True):
+        if np.isfinite(ray).all() and np.isfinite(cloud.srgb[pixel]).all():
+            cell = int(np.argmax(lattice.directions @ ray.astype(np.float32)))
+            cosine = float((ray * lattice.directions[cell]).sum())
+            if cell not in looking or cosine > looking[cell][0]:
+                looking[cell] = cosine, pixel
+    return {cell: pixel for cell, (_, pixel) in looking.items()}
 
 
 def _reasons(cloud: PointCloud, distance_m: ArrayF32) -> Counter[str]:

@@ -14,7 +14,7 @@ from functools import reduce
 
 import numpy as np
 
-from xihenet.buffers import Sight, merge_in_sight
+from xihenet.buffers import FrameAtPosition, merge_in_sight
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.estimators import Estimator
 from xihenet.left_out import N_PARTS, left_out_error
@@ -102,7 +102,7 @@ def score_session(
         points, part = unproject_frame(frame, reference_exposure=reference_exposure), number * N_PARTS // n_frames
         for place_m, parts in zip(places_m, shown, strict=True):
             sampled = sample_unit_sphere(points, place_m, lattice)
-            parts[part] = merge_in_sight(parts[part], sampled, Sight(frame, place_m, lattice))
+            parts[part] = merge_in_sight(parts[part], sampled, FrameAtPosition(frame, place_m, lattice))
     errors = {name: [_error_of_place(parts, one) for parts in shown] for name, one in estimators.items()}
     first = next(iter(errors.values()))
     asked = [k for k, error in enumerate(first) if error is not None]

@@ -7,7 +7,7 @@ from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of, random_cl
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.buffers import merge_in_sight
-from xihenet.camera import project_points, unproject_frame
+from xihenet.camera import pixel_rays, project_points, unproject_frame
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.records import FAR_FROM_M, FAR_M, Intrinsics, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
@@ -76,6 +76,30 @@ def test_light_through_a_window_comes_from_the_window_wherever_it_is_seen_from(o
     assert sky.sum() > 30
     assert (at[:, 0] > 0.6 - half_an_anchor).all() and (at[:, 0] < 2.1 + half_an_anchor).all()
     assert (at[:, 2] > 0.1 - half_an_anchor).all() and (at[:, 2] < 1.1 + half_an_anchor).all()
+
+
+def test_light_through_a_window_has_the_colour_of_its_direction():
+    """What is far away looks alike from every place in the room: a sky that has another colour in every direction."""
+    frame = window(last=90, is_apart=False)
+    rays = pixel_rays(CAMERA) @ frame.world_from_camera[:3, :3].T
+    sky = np.rint(127 + 127 * rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.uint8)
+    colours = np.where((frame.plane_depth_m == 3)[..., None], frame.srgb_u8, sky)
+    cloud = unproject_frame(frame_of(frame.plane_depth_m, CAMERA, frame.world_from_camera, colours))
+    for position_m in ((1.4, -0.3, 0.2), (-0.5, 0.2, 0.4), (0.8, -2.5, 0.3)):
+        sampled = sample_unit_sphere(cloud, position_m, LATTICE)
+        far = sampled.is_set & (sampled.distance_m > FAR_FROM_M)
+        turned = np.linalg.norm(2 * sampled.srgb[far] - 1 - LATTICE.directions[far], axis=1)
+        pixels, depth_m = project_points(
+            frame.world_from_camera[:3, 3] + LATTICE.directions[far], CAMERA, frame.world_from_camera
+        )
+        was_seen = (depth_m > 0) & (pixels >= [60, 20]).all(axis=1) & (pixels < [90, 40]).all(axis=1)
+        assert far.sum() > 5 and (turned[was_seen] < 0.06).all()
+        # Where no pixel of the window looked, as near to it as one did.
+        looked = rays[20:40, 60:90].reshape(-1, 3) / np.linalg.norm(
+            rays[20:40, 60:90].reshape(-1, 3), axis=1, keepdims=True
+        )
+        least = np.linalg.norm(LATTICE.directions[far][:, None] - looked, axis=2).min(axis=1)
+        assert (turned < least + 0.06)[least < 0.8].all()
 
 
 def test_what_is_near_hides_what_is_far_in_one_picture():

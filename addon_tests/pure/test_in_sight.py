@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of, random_cloud
-from xihenet.buffers import BEHIND_FROM, PositionBuffers, Sight, in_sight, merge, merge_in_sight
+from xihenet.buffers import BEHIND_FROM, FrameAtPosition, PositionBuffers, in_sight, merge, merge_in_sight
 from xihenet.camera import pixel_rays, project_points, sees_through, unproject_frame
 from xihenet.records import Intrinsics, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
@@ -41,7 +41,7 @@ def seen_from(place_m, yaw, *, with_pillar=True):
 
 
 def sight_of(frame):
-    return Sight(frame, HERE, LATTICE)
+    return FrameAtPosition(frame, HERE, LATTICE)
 
 
 def sampled(frame):

@@ -15,7 +15,7 @@ from xihe_blender.io.exr import read_radiance
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
-from xihenet.buffers import PositionBuffers, merge
+from xihenet.buffers import FrameAtPosition, merge_in_sight
 from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.estimators import EstimateContext, Estimator
@@ -122,6 +122,7 @@ class Unclipped(Estimator):
         pictures = {one.seen.frame: read_radiance(run.outputs.radiance("captured", one.seen.frame)) for one in sights}
         exposure = exposure_without_clipping(list(pictures.values()), run.exposure)
         self.points = {one.seen.frame: with_radiance(one.points, pictures[one.seen.frame], exposure) for one in sights}
+        self.frames = {one.seen.frame: one.seen for one in sights}
         self.ratio = exposure / run.exposure
         self.start()
 
@@ -135,8 +136,9 @@ class Unclipped(Estimator):
             self.bright = sample_again(self.bright, position_m - self.position_m, self.lattice)
         self.position_m = position_m
         sampled = sample_unit_sphere(self.points[frame], position_m, self.lattice)
-        before = PositionBuffers(UnitSphereCloud.empty(self.n_anchors), self.bright)
-        self.bright = merge(self.bright, before.in_sight(sampled))
+        self.bright = merge_in_sight(
+            self.bright, sampled, FrameAtPosition(self.frames[frame], position_m, self.lattice)
+        )
 
     def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
         return self.inner.unknown_because(cloud, context)
