@@ -19,12 +19,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import sees_through
-from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, RgbdFrame, UnitSphereCloud
+from xihenet.records import FAR_FROM_M, AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_again
 from xihenet.sphere import AnchorLattice
 
 BEHIND_FROM = 1.5
 """A surface is behind another one from so many times its distance on. Less may be noise: that of a table 5 cm away."""
+
+N_BESIDE = 6
+"""An anchor and its nearest neighbours, of which all but one have to be nearer to hide a surface that is not far away.
+
+Within a frame the nearest point wins an anchor. A thing narrower than that takes all of it; from many frames it would
+come to hide whatever is around it, lamps among it.
+"""
 
 
 class FrameAtPosition(NamedTuple):
@@ -69,6 +76,10 @@ def _without_hidden(
     with np.errstate(over="ignore"):  # Nothing is behind what is at the end of float32.
         limit_m = known_m * np.float32(BEHIND_FROM)
     hidden = np.flatnonzero(is_known & new.is_set & (new.distance_m > limit_m))
+    if hidden.size:
+        beside = AnchorLattice(len(new)).neighbours(min(N_BESIDE, len(new)))[hidden]
+        n_nearer = (is_known[beside] & (new.distance_m[hidden, None] > limit_m[beside])).sum(axis=1)
+        hidden = hidden[(n_nearer >= beside.shape[1] - 1) | (new.distance_m[hidden] >= FAR_FROM_M)]
     if sight is not None and hidden.size:
         points_m = sight.lattice.directions[hidden] * known_m[hidden, None] + np.asarray(sight.position_m, np.float64)
         hidden = hidden[~sees_through(points_m, sight.frame)]

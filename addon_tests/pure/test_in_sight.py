@@ -11,7 +11,7 @@ import pytest
 from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of, random_cloud
 from xihenet.buffers import BEHIND_FROM, FrameAtPosition, PositionBuffers, in_sight, merge, merge_in_sight
 from xihenet.camera import pixel_rays, project_points, sees_through, unproject_frame
-from xihenet.records import Intrinsics, UnitSphereCloud
+from xihenet.records import FAR_FROM_M, Intrinsics, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
@@ -93,19 +93,22 @@ def test_a_pillar_that_is_gone_is_replaced_once_a_frame_sees_through_its_place()
 def test_what_stays_is_what_is_not_behind_anchor_by_anchor():
     rng = np.random.default_rng(4)
     nasty = np.float32([0, 1e-45, 1e-3, 0.1, 1, 1.3, 64, 3e38, 3.4e38])
-    old, new = random_cloud(rng, 64), random_cloud(rng, 64)
+    old, new = random_cloud(rng, 64, 0.95), random_cloud(rng, 64)
+    old = UnitSphereCloud(old.srgb, old.distance_m * 0.3, old.is_set)
     pairs = np.array([(a, b) for a in nasty for b in nasty]).T
     known = np.ones(pairs.shape[1], bool)
     for one, other in ((old, new), [UnitSphereCloud(np.full((len(known), 3), 0.5), m, known) for m in pairs]):
-        left = in_sight(one, other)
+        left, beside = in_sight(one, other), AnchorLattice(len(one)).neighbours(6)
+        n_hidden = 0
         for k in range(len(one)):
-            is_hidden = (
-                one.is_set[k] and other.is_set[k]
-                and float(other.distance_m[k]) > float(one.distance_m[k]) * BEHIND_FROM
-            )  # fmt: skip
+            shown_m = float(other.distance_m[k])
+            nearer = [one.is_set[i] and float(one.distance_m[i]) * BEHIND_FROM < shown_m for i in beside[k]]
+            is_hidden = other.is_set[k] and nearer[0] and (sum(nearer) >= 5 or shown_m >= FAR_FROM_M)
             assert left.is_set[k] == (other.is_set[k] and not is_hidden)
+            n_hidden += is_hidden
             if left.is_set[k]:
                 assert left.distance_m[k] == other.distance_m[k] and (left.srgb[k] == other.srgb[k]).all()
+        assert n_hidden
     assert in_sight(UnitSphereCloud.empty(64), new) is new
     with pytest.raises(ValueError, match="anchors"):
         in_sight(old, UnitSphereCloud.empty(65))
