@@ -194,8 +194,15 @@ def _largest_cosine(columns: ArrayF64, directions: ArrayF64) -> ArrayInt:
     return anchors
 
 
+_SEARCHED = 7  # Whoever asks for fewer neighbours gets the first of these, so that all pairs are compared once.
+
+
 @lru_cache(maxsize=32)
 def _neighbours(n: int, k: int) -> ArrayInt:
+    if k < _SEARCHED <= n:
+        few = np.ascontiguousarray(_neighbours(n, _SEARCHED)[:, :k])
+        few.flags.writeable = False
+        return few
     directions = _lattice_directions(n)
     neighbours = np.empty((n, k), np.intp)
     rows = max(1, _BRUTE_BLOCK // n)
