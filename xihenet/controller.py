@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.backend import LightBackend, as_inference_backend, estimate_light, estimate_lights
-from xihenet.buffers import N_BESIDE, FrameAtPosition, PositionBuffers, merge, merge_in_sight
+from xihenet.buffers import FrameAtPosition, PositionBuffers, merge, merge_in_sight
 from xihenet.camera import in_view, unproject_frame
 from xihenet.carried_light import CarriedLight
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
@@ -97,11 +97,9 @@ class XiheController:
         # Tables are built on first use; built here, no frame pays for them.
         self.lattice.nearest(self.lattice.directions[:1], self.settings.nearest, self.settings.table_size)
         self.lattice.neighbours(min(self.settings.trigger.n_neighbours, len(self.lattice)))
-        self.lattice.neighbours(min(N_BESIDE, len(self.lattice)))
         if self.fine_lattice is not None:
             self.fine_lattice.nearest(self.fine_lattice.directions[:1])
             self.fine_lattice.neighbours(N_NEIGHBOURS)
-            self.fine_lattice.neighbours(N_BESIDE)
         self._positions: dict[str, _Position] = {}
         self.out_of_view_ms: dict[str, float] = {}
         """Of the last step, by stage, at positions that were out of view."""

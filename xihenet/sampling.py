@@ -98,7 +98,9 @@ def sample_unit_sphere(
                 cloud, cloud.grid.far, camera, is_set, winners, nearest_m, surfaces, nearest
             )
         if cloud.grid.openings is not None:
-            winners, surfaces = _with_openings(cloud, is_set, winners, nearest_m, surfaces, lattice, nearest)
+            winners, surfaces = _with_openings(
+                cloud, cloud.grid.camera_m, cloud.grid.openings, is_set, winners, nearest_m, surfaces, lattice, nearest
+            )
     nearest_m[~is_set] = 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)
@@ -156,8 +158,9 @@ def _with_far_light(
 
 
 def _with_openings(
-    cloud: PointCloud, is_set: ArrayBool, winners: ArrayInt, distance_m: ArrayF32, surfaces: AnchorSurfaces | None,
-    lattice: AnchorLattice, nearest: Callable[[ArrayF32], ArrayInt],
+    cloud: PointCloud, camera_m: ArrayF64, openings: ArrayInt, is_set: ArrayBool, winners: ArrayInt,
+    distance_m: ArrayF32, surfaces: AnchorSurfaces | None, lattice: AnchorLattice,
+    nearest: Callable[[ArrayF32], ArrayInt],
 ) -> tuple[ArrayInt, AnchorSurfaces | None]:  # fmt: skip
     """What anchors show through an opening is far away, though it competes where the opening is.
 
@@ -165,50 +168,32 @@ def _with_openings(
     that looks in its own direction, or of those that look within `MOST_ASIDE` of it the one that comes closest.
     `distance_m` (N,) is changed in place; `winners` are the pixels of the anchors `is_set`, in order.
     """
-    assert cloud.grid is not None and cloud.grid.openings is not None
     is_opening = np.zeros(len(cloud.srgb), np.bool_)  # numpy.isin sorts, which takes 20 times as long.
-    is_opening[cloud.grid.openings] = True
+    is_opening[openings] = True
     through = np.zeros(len(is_set), np.bool_)
     through[is_set] = is_opening.take(winners)
     distance_m[through] = np.maximum(distance_m[through], np.float32(FAR_M))
-    shown = through[is_set]
-    winners = winners.copy()
-    winners[shown] = _by_direction(cloud, winners[shown], np.flatnonzero(through), lattice, nearest)
+    rays = _rays(cloud.points_m[openings], camera_m)
+    is_usable = np.isfinite(rays).all(axis=1) & np.isfinite(cloud.srgb[openings]).all(axis=1)
+    openings, rays = openings[is_usable], rays[is_usable]
+    if through.any() and len(openings):
+        cells = nearest(np.ascontiguousarray(rays.T, np.float32))
+        apart = np.square(rays - lattice.directions[cells]).sum(axis=1).astype(np.float32)
+        is_looked, looking = _nearest_points(cells, apart, lattice.n)
+        # Not a product of matrices: that wakes BLAS threads.
+        cosines = np.einsum("mc,kc->mk", lattice.directions[through], lattice.directions[is_looked])
+        closest, shown = cosines.argmax(axis=1), through[is_set]
+        is_near = cosines.max(axis=1) >= np.cos(MOST_ASIDE)
+        winners = winners.copy()
+        winners[shown] = np.where(is_near, openings[looking[closest]], winners[shown])
     if surfaces is not None:
-        surfaces = _seen_from_afar(surfaces, through, _rays(cloud, winners[shown]))
+        surfaces = _seen_from_afar(surfaces, through, _rays(cloud.points_m[winners[through[is_set]]], camera_m))
     return winners, surfaces
 
 
-def _by_direction(
-    cloud: PointCloud, pixels: ArrayInt, anchors: ArrayInt, lattice: AnchorLattice,
-    nearest: Callable[[ArrayF32], ArrayInt],
-) -> ArrayInt:  # fmt: skip
-    """(M,) pixels of openings that look where the anchors (M,) lie; `pixels` (M,) where none does."""
-    assert cloud.grid is not None and cloud.grid.openings is not None
-    openings, rays = cloud.grid.openings, _rays(cloud, cloud.grid.openings)
-    is_usable = np.isfinite(rays).all(axis=1) & np.isfinite(cloud.srgb[openings]).all(axis=1)
-    openings, rays = openings[is_usable], rays[is_usable]
-    if not len(openings) or not len(anchors):
-        return pixels
-    cells = nearest(np.ascontiguousarray(rays.T, np.float32))
-    cosines = (rays * lattice.directions[cells]).sum(axis=1)
-    best = np.full(lattice.n, -np.inf)
-    np.maximum.at(best, cells, cosines)
-    is_best = np.flatnonzero(cosines == best[cells])
-    first = np.full(lattice.n, len(openings))
-    np.minimum.at(first, cells[is_best], is_best)
-    looked = np.flatnonzero(first < len(openings))
-    # Not a product of matrices: that wakes BLAS threads.
-    aside = np.einsum("mc,kc->mk", lattice.directions[anchors], lattice.directions[looked])
-    closest = aside.argmax(axis=1)
-    is_near = aside[np.arange(len(anchors)), closest] >= np.cos(MOST_ASIDE)
-    return np.where(is_near, openings[first[looked[closest]]], pixels)
-
-
-def _rays(cloud: PointCloud, pixels: ArrayInt) -> ArrayF64:
-    """(K, 3) unit, from the camera through pixels (K,); NaN where they have no point."""
-    assert cloud.grid is not None
-    rays = cloud.points_m[pixels].astype(np.float64) - cloud.grid.camera_m
+def _rays(points_m: ArrayF32, camera_m: ArrayF64) -> ArrayF64:
+    """(K, 3) unit, from the camera to points (K, 3); NaN where that is none."""
+    rays = points_m.astype(np.float64) - camera_m
     with np.errstate(invalid="ignore"):  # A point in the camera itself has no ray: NaN says so.
         unit: ArrayF64 = rays / np.sqrt((rays * rays).sum(axis=1, keepdims=True))
     return unit
@@ -290,13 +275,13 @@ def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, latti
     if surfaces is not None and cloud.grid is not None and cloud.grid.openings is not None:
         through = np.isin(winner, cloud.grid.openings)
         nearest_m = np.where(through, np.maximum(nearest_m, np.float32(FAR_M)), nearest_m)
-        looking = _looking_through(cloud, lattice)
+        looking = _looking_through(cloud, cloud.grid.camera_m, cloud.grid.openings, lattice)
         for anchor in np.flatnonzero(through):
             cosines = {cell: float(lattice.directions[cell] @ lattice.directions[anchor]) for cell in sorted(looking)}
             closest = max(cosines, key=lambda cell: cosines[cell], default=None)
             if closest is not None and cosines[closest] >= np.cos(MOST_ASIDE):
                 winner[anchor] = looking[closest]
-        surfaces = _seen_from_afar(surfaces, through, _rays(cloud, winner[through]))
+        surfaces = _seen_from_afar(surfaces, through, _rays(cloud.points_m[winner[through]], cloud.grid.camera_m))
     is_set = winner >= 0
     srgb = np.zeros((lattice.n, 3), np.float32)
     srgb[is_set] = cloud.srgb[winner[is_set]].clip(0, 1)
@@ -304,16 +289,18 @@ def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, latti
     return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, invalid, surfaces)
 
 
-def _looking_through(cloud: PointCloud, lattice: AnchorLattice) -> dict[int, int]:
+def _looking_through(
+    cloud: PointCloud, camera_m: ArrayF64, openings: ArrayInt, lattice: AnchorLattice
+) -> dict[int, int]:
     """By anchor, the pixel of an opening that looks closest to its direction, of those to which it is the nearest."""
-    assert cloud.grid is not None and cloud.grid.openings is not None
     looking: dict[int, tuple[float, int]] = {}
-    for pixel, ray in zip(cloud.grid.openings.tolist(), _rays(cloud, cloud.grid.openings), strict=True):
+    for pixel in openings.tolist():
+        ray = _rays(cloud.points_m[[pixel]], camera_m)[0]
         if np.isfinite(ray).all() and np.isfinite(cloud.srgb[pixel]).all():
             cell = int(np.argmax(lattice.directions @ ray.astype(np.float32)))
-            cosine = float((ray * lattice.directions[cell]).sum())
-            if cell not in looking or cosine > looking[cell][0]:
-                looking[cell] = cosine, pixel
+            apart = float(np.float32(np.square(ray - lattice.directions[cell]).sum()))
+            if cell not in looking or apart < looking[cell][0]:
+                looking[cell] = apart, pixel
     return {cell: pixel for cell, (_, pixel) in looking.items()}
 
 

@@ -100,6 +100,10 @@ def test_light_through_a_window_has_the_colour_of_its_direction():
         )
         least = np.linalg.norm(LATTICE.directions[far][:, None] - looked, axis=2).min(axis=1)
         assert (turned < least + 0.06)[least < 0.8].all()
+        slow = sample_unit_sphere_reference(cloud, position_m, LATTICE)
+        np.testing.assert_array_equal(sampled.srgb, slow.srgb)
+        looking = [one.surfaces.view_direction[far] for one in (sampled, slow)]
+        np.testing.assert_allclose(*looking, atol=2e-5)
 
 
 def test_what_is_near_hides_what_is_far_in_one_picture():
