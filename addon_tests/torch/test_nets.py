@@ -41,7 +41,7 @@ def points(n=64, n_clouds=5, seed=0):
 
 @pytest.mark.parametrize(("n", "target"), [(512, "ldr"), (777, "hdr"), (1280, "ldr"), (1280, "hdr"), (2048, "ldr")])
 def test_numpy_gives_what_torch_gives(tmp_path, n, target):
-    net = lively_net(target)
+    net = lively_net(target).eval()
     save_weights(tmp_path / "w.npz", weights_of(net, target))
     parts = clouds(n, seed=n)
     estimator, lights = Lattice(n, target, weights=tmp_path / "w.npz"), []

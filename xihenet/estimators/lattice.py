@@ -61,6 +61,8 @@ SKY_FROM_M = 0.75 * FAR_M  # Light without a distance, also if it has been carri
 SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
+GUESSED = 0.5  # Share of the light guessed in unseen directions that is added in HDR up to a coverage of LITTLE_SEEN;
+LITTLE_SEEN, MUCH_SEEN = 0.4, 0.8  # all of it from MUCH_SEEN on. Rooms unlike those of the training have other lamps.
 MOST_ADDED = 2.0  # Times its raw expected error, the most that the network adds to the projection, root mean square.
 WHITE_L00 = float(np.sqrt(4 * np.pi))  # Of light that is 1 from everywhere.
 SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
@@ -355,11 +357,15 @@ class LatticeNetwork:
 
     def _open(self, inputs: ArrayF32, known: ArrayF32, counted: ArrayF32, seen: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
         """What light may be added to: (B, n) of the middle cells, and (B,) of the sphere; `seen` is of the cells."""
-        if self._opens_clipped:
-            lamps = inputs[_CLIPPED] * (inputs[_DISTANCE] < np.float32(np.log(SKY_FROM_M + NEAREST_M)))
-            fine = self._to_fine.sums(known * (1 - lamps)) / self._to_fine.counts
-            seen, counted = _product(fine, self._to_middle), counted * (1 - lamps)
-        return 1 - seen, 1 - counted.sum(axis=1) / np.float32(self.n_anchors)
+        coverage = counted.sum(axis=1) / np.float32(self.n_anchors)
+        if not self._opens_clipped:
+            return 1 - seen, 1 - coverage
+        lamps = inputs[_CLIPPED] * (inputs[_DISTANCE] < np.float32(np.log(SKY_FROM_M + NEAREST_M)))
+        lamp_share = _product(self._to_fine.sums(known * lamps) / self._to_fine.counts, self._to_middle)
+        known_enough = ((coverage - LITTLE_SEEN) / (MUCH_SEEN - LITTLE_SEEN)).clip(0, 1)
+        guessed = np.float32(GUESSED) + np.float32(1 - GUESSED) * known_enough
+        lamp_coverage = (counted * lamps).sum(axis=1) / np.float32(self.n_anchors)
+        return guessed[:, None] * (1 - seen) + lamp_share, guessed * (1 - coverage) + lamp_coverage
 
     def _lacking(self, decoder_inputs: ArrayF32, spread: ArrayF32, open_share: ArrayF32) -> ArrayF32:
         """(3, B, 9) coefficients of what the projection lacks in the open share, relative to each channel's mean."""

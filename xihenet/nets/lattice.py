@@ -22,7 +22,10 @@ from xihenet.estimators.lattice import (
     CLIPPED_FROM,
     CONTRAST_SCALE,
     FARTHEST_M,
+    GUESSED,
+    LITTLE_SEEN,
     MOST_ADDED,
+    MUCH_SEEN,
     NEAREST_M,
     SKY_FROM_M,
     SMALLEST_ERROR,
@@ -50,7 +53,7 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
 
     `forward(srgb (B, N, 3), distance_m (B, N), is_set (B, N), facing (B, N) or None)` gives (B, 9, 3) coefficients and
     (B,) expected errors; N may differ from call to call. Anchors that are not set must be 0. The expected error sends
-    no gradient into the layers that make the light.
+    no gradient into the layers that make the light. While it trains, all that it guesses counts (`GUESSED`).
     """
 
     def __init__(self, architecture: LatticeArchitecture | None = None) -> None:
@@ -92,13 +95,16 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         mean_code = code.mean(1)
         raw = self.layer("error")(torch.relu(self.layer("error_hidden")(mean_code.detach())))[:, 0]
         expected_error = nn.functional.softplus(raw) * level.mean((1, 2)) + SMALLEST_ERROR
-        closed, added_level = known, level
+        open_anchors, added_level = 1 - known, level
         if self.architecture.opens_clipped:
-            closed = known * (1 - clipped * (distance_m < SKY_FROM_M).float())
+            if not self.training:
+                known_enough = ((known.mean(1) - LITTLE_SEEN) / (MUCH_SEEN - LITTLE_SEEN)).clamp(0, 1)
+                open_anchors = open_anchors * (GUESSED + (1 - GUESSED) * known_enough)[:, None]
+            open_anchors = open_anchors + known * clipped * (distance_m < SKY_FROM_M).float()
             added_level = self._lit_level(linear, known * (1 - clipped), level)
-        unseen = contrast * (1 - closed.mean(1))
+        unseen = contrast * open_anchors.mean(1)
         gate = unseen[:, None] * torch.tanh(self.layer("gate")(mean_code)[:, GATE_OF])
-        radiance = self._radiance(middle, aside, code, self._share(closed)) * contrast[:, None, None]
+        radiance = self._radiance(middle, aside, code, self._share(open_anchors)) * contrast[:, None, None]
         added = gate[..., None] * projection + (self._constant("quadrature", 0, srgb.device) @ radiance) * added_level
         size = added.square().mean((1, 2)).clamp(min=SMALLEST_ERROR**2).sqrt()
         added = added * (MOST_ADDED * expected_error.detach() / size).clamp(max=1)[:, None, None]
@@ -165,21 +171,21 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         of_all = hidden.mean(1, keepdim=True).expand_as(hidden)
         return torch.relu(self.layer("code")(torch.cat([hidden, of_all], 2)))
 
-    def _share(self, closed: Tensor) -> Tensor:
-        """(B, n, 1) of the middle cells; `closed` (B, N) are anchors that nothing is added to."""
-        n = closed.shape[1]
-        fine = nn.functional.pad(closed, (0, 1))[:, self._constant("members", n, closed.device)].sum(2)
-        fine = fine / self._constant("counts", n, closed.device)
-        return (fine @ self._constant("matrix 2", 0, closed.device))[..., None]
+    def _share(self, open_anchors: Tensor) -> Tensor:
+        """(B, n, 1) of the middle cells; `open_anchors` (B, N) are shares of anchors to which light is added."""
+        n, device = open_anchors.shape[1], open_anchors.device
+        fine = nn.functional.pad(open_anchors, (0, 1))[:, self._constant("members", n, device)].sum(2)
+        fine = fine / self._constant("counts", n, device)
+        return (fine @ self._constant("matrix 2", 0, device))[..., None]
 
-    def _radiance(self, middle: Tensor, aside: Tensor, code: Tensor, closed: Tensor) -> Tensor:
+    def _radiance(self, middle: Tensor, aside: Tensor, code: Tensor, open_share: Tensor) -> Tensor:
         """(B, n, 3) what the projection lacks in the open part of the middle cells, relative to channel means."""
         n = middle.shape[1]
         spread = self.layer("spread")(code).reshape(len(code), N_TURNS, n, -1)
         turned_back = self._constant("turned back", 0, code.device)[None, ..., None]
         spread = spread.gather(2, turned_back.expand(len(code), -1, -1, spread.shape[3])).mean(1)
         hidden = self.layer("decoder")(torch.cat([middle, spread, aside], 2))
-        return cast(Tensor, self.layer("radiance")(torch.relu(hidden)) * (1 - closed))
+        return cast(Tensor, self.layer("radiance")(torch.relu(hidden)) * open_share)
 
     def _constant(self, name: str, n: int, device: torch.device) -> Tensor:
         """A table as a tensor, kept per device; no part of the state. `n` is the number of anchors, 0 for no matter."""
