@@ -316,6 +316,9 @@ def test_rooms_of_another_kind_set_the_level_and_the_promises_each_room_alike():
     here = Calibration(1.0, 1.0, 0.0, (0.7, 1.1, 2.3))
     found = calibration_elsewhere(here, raw, made, coverage, room)
     assert (found.power, found.slope) == (here.power, here.slope) and found.factor == pytest.approx(3.0, rel=0.02)
+    far_off = made.copy()
+    far_off[np.flatnonzero(room == 1)[0]] *= 1e9
+    assert calibration_elsewhere(here, raw, far_off, coverage, room).factor == pytest.approx(found.factor, rel=0.01)
     limits = np.outer(found.quantiles, found.expected(raw, coverage))
     kept = np.mean([np.mean((made <= limits)[:, room == number], axis=1) for number in range(4)], axis=0)
     np.testing.assert_allclose(kept, SHARES_ASKED, atol=0.01)

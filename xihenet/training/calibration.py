@@ -29,6 +29,7 @@ from xihenet.training.predictions import VIEWS, Group, NetworkSeeds, Prediction,
 from xihenet.training.scores import COVERAGE_EDGES, coverage_groups
 
 N_BINS = 8
+MOST_MEDIANS = 10.0  # of errors over the expected ones, each room alike
 _N_STEPS = 40
 
 
@@ -98,15 +99,17 @@ def calibration_elsewhere(
     """The same law with the level and the promises of rooms of another kind, each room counted alike.
 
     A few rooms cannot teach a law, but they tell how far off the validation rooms' level and promises are elsewhere.
-    Parameters are those of `fit_calibration`; `room` (M,) is each cloud's.
+    Parameters are those of `fit_calibration`; `room` (M,) is each cloud's. Errors of more than `MOST_MEDIANS` over the
+    median count as so many: one place before a lamp would set the level of all.
     """
     expected, errors, seen = _checked(raw, made, coverage)
     ratios = errors / np.maximum(calibration.expected(expected, seen), SMALLEST_RAW)
     _, number, n_clouds = np.unique(np.asarray(room), return_inverse=True, return_counts=True)
     weights = 1 / n_clouds[number]
-    level = max(float(np.average(ratios, weights=weights)), SMALLEST_RAW)
     order = np.argsort(ratios, kind="stable")
     below = (np.cumsum(weights[order]) - weights[order] / 2) / weights.sum()
+    highest = MOST_MEDIANS * np.interp(0.5, below, ratios[order])
+    level = max(float(np.average(np.minimum(ratios, highest), weights=weights)), SMALLEST_RAW)
     quantiles = np.interp(SHARES_ASKED, below, ratios[order]) / level
     return replace(calibration, factor=calibration.factor * level, quantiles=tuple(map(float, quantiles)))
 
