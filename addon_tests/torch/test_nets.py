@@ -56,6 +56,21 @@ def test_numpy_gives_what_torch_gives(tmp_path, n, target):
     assert np.abs(lights[1] - lights[0]).max() > 1e-3
 
 
+@pytest.mark.parametrize(("coverage", "share"), [(0.1, 0.5), (0.4, 0.5), (0.6, 0.75), (0.8, 1.0), (1.0, 1.0)])
+def test_of_what_hdr_guesses_for_the_unseen_less_is_added_while_less_is_seen(coverage, share):
+    rng = np.random.default_rng(0)
+    known = np.arange(1280)[None] < round(1280 * coverage)
+    colours = rng.uniform(0, 0.9, (1, 1280, 3)).astype(np.float32) * known[..., None]
+    cloud = tuple(map(torch.from_numpy, (colours, rng.uniform(0.5, 3, (1, 1280)).astype(np.float32) * known, known)))
+    net = lively_net("hdr")
+    with torch.no_grad():
+        net.layer("error").bias.fill_(100.0)  # so that what is added is not cut
+        projection = LatticeNet(net.architecture)(*cloud)[0]
+        whole, said = net.train()(*cloud)[0], net.eval()(*cloud)[0]
+    np.testing.assert_allclose((said - projection)[:, 1:], share * (whole - projection)[:, 1:], atol=2e-6)
+    assert coverage == 1 or (whole - projection).abs().max() > 1e-3
+
+
 def test_lattice_gradients_are_finite_on_nasty_clouds():
     net = lively_net()
     light, expected_error = net(*map(torch.from_numpy, clouds(512)))

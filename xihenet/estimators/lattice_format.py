@@ -143,7 +143,7 @@ def pooling_table(n_anchors: int) -> PoolingTable:
     return PoolingTable(members, np.array([len(row) for row in rows], np.float32))
 
 
-SMALLEST_SHARE = 1e-12
+SMALLEST_WEIGHT = 1e-12
 
 
 @lru_cache(maxsize=4)
@@ -151,13 +151,13 @@ def pooling_matrix(n_fine: int, n_coarse: int) -> ArrayF32:
     """(n_fine, n_coarse) how much each cell counts for a coarser one: columns have a sum of 1.
 
     Cells overlap, so that the light changes little where a turn brings what was seen from one cell into the next: a
-    Gaussian of the angle between their middles, as wide as the coarser cells. Below `SMALLEST_SHARE` of a sum it is 0:
+    Gaussian of the angle between their middles, as wide as the coarser cells. Below `SMALLEST_WEIGHT` of a sum it is 0:
     products with numbers that float32 holds only as denormal ones take thirty times as long.
     """
     angle = np.arccos(np.clip(ring_grid(n_fine).directions @ ring_grid(n_coarse).directions.T, -1, 1))
     weight = np.exp(-((angle / np.sqrt(4 / n_coarse)) ** 2))
     share = weight / weight.sum(axis=0)
-    matrix: ArrayF32 = np.where(share < SMALLEST_SHARE, 0, share).astype(np.float32)
+    matrix: ArrayF32 = np.where(share < SMALLEST_WEIGHT, 0, share).astype(np.float32)
     return matrix
 
 
