@@ -21,7 +21,7 @@ from xihe_blender.lab.rooms.outline import Rect
 from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.room_data import Piece
 from xihe_blender.lab.rooms.rooms import walk_generator
-from xihe_blender.lab.rooms.scene import NOISE_TARGET, SCENE_REGIME, SCENE_SEED, add_scene
+from xihe_blender.lab.rooms.scene import SCENE_REGIME, SCENE_SEED, SCENE_SETTINGS, add_scene
 from xihe_blender.lab.rooms.store import load_room, room_path, stored_indices
 from xihe_blender.lab.rooms.views import PHONE_CLEARANCE_M
 from xihe_blender.lab.rooms.walk import HIGHEST_M, LOWEST_M, SPEED_M_S, sample_walk
@@ -328,7 +328,7 @@ def test_the_command_adds_a_scene_and_says_where(tmp_path):
     assert room.kind == "tiny"
     assert room.srgb_u8.shape == (2, 96, 128, 3)
     assert room.balls.shape == (1, 80, 80, 3)
-    assert (room.sh_noise > 0).all() and (room.sh_noise <= NOISE_TARGET).all()
+    assert (room.sh_noise > 0).all() and (room.sh_noise <= SCENE_SETTINGS.noise_target).all()
 
 
 @pytest.mark.parametrize(

@@ -56,12 +56,12 @@ def _build(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 
 
 def _scene(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    from xihe_blender.lab.rooms.scene import MEASURED, add_scene
+    from xihe_blender.lab.rooms.scene import SCENE_SETTINGS, add_scene
     from xihe_blender.lab.rooms.store import load_room
     from xihe_blender.scene.blend_file import open_blend
 
     scene = open_blend(options.scene)
-    job = add_scene(scene, options.scene.stem, options.out, MEASURED, frames=options.frames, at=options.at)
+    job = add_scene(scene, options.scene.stem, options.out, SCENE_SETTINGS, frames=options.frames, at=options.at)
     path = run_blocking(job, progress_line(stderr))
     ldr, hdr = load_room(path).sh_noise.max(axis=0)
     print(f"The reference light has a noise of at most {ldr:.1%} in ldr and {hdr:.1%} in hdr.", file=stderr)

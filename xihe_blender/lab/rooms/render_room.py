@@ -41,7 +41,8 @@ class RoomRenderSettings:
 
     The reference probe takes `probe_samples` pictures, of `probe_size` pixels along a side of the mirror ball, an even
     number; they are stored at half that size. In training rooms it is `train_probe_size`: their noise averages out over
-    the rooms, which cost half as much, and more rooms teach more than cleaner ones.
+    the rooms, which cost half as much, and more rooms teach more than cleaner ones. Fewer pictures are taken where the
+    noise has come down to `noise_target`, relative to the light; it is not one of the `numbers`.
     """
 
     view_size: tuple[int, int] = (128, 96)
@@ -49,6 +50,7 @@ class RoomRenderSettings:
     probe_size: int = 160
     probe_samples: int = 2
     train_probe_size: int = 80
+    noise_target: float | None = None
 
     @property
     def view(self) -> RenderSettings:
@@ -56,7 +58,7 @@ class RoomRenderSettings:
 
     def probe(self, split: Split = "test") -> ProbeSettings:
         size = self.train_probe_size if split == "train" else self.probe_size
-        return ProbeSettings(size, self.probe_samples, noise_target=None)
+        return ProbeSettings(size, self.probe_samples, self.noise_target)
 
     @property
     def numbers(self) -> tuple[int, ...]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -32,11 +31,10 @@ from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.records import ArrayBool, ArrayF64, Intrinsics
 
+SCENE_SETTINGS = RoomRenderSettings(view_samples=16, probe_samples=48, noise_target=0.03)
+"""Estimators are judged by scenes. In training rooms noise averages out; here it would count as error."""
 SCENE_REGIME = "scene"
 SMALLEST_FLOAT16 = 2.0**-21  # Of which half floats still tell eighths
-MEASURED = RoomRenderSettings(view_samples=16, probe_samples=48)
-"""Of scenes, which estimators are judged by. In training rooms noise averages out; here it would count as error."""
-NOISE_TARGET = 0.03  # Of the reference light, after which no more pictures are taken
 DARKEST_SHOWN = 3e-4  # Of white: the first code above black in a picture of 8 bits
 SCENE_SEED = 2**31 - 1  # In the place of the data set's seed; the room's number is the CRC-32 of the scene's name
 
@@ -64,7 +62,7 @@ def add_scene(
     chosen = planned_frames(scene, frames)
     size = sized_for(scene, settings.view).size
     positions_m = scene_positions(scene, chosen, at)
-    shared = {"render": list(settings.numbers), "noise_target": NOISE_TARGET, "metering": store.METERING}
+    shared = {"render": list(settings.numbers), "noise_target": settings.noise_target, "metering": store.METERING}
     write_manifest(folder, {"format": store.FORMAT_VERSION, "scenes": True, **shared})
     path = store.room_path(folder, _place_for(folder, name))
     total = len(chosen) + len(positions_m) + 1
@@ -78,8 +76,7 @@ def add_scene(
             is_unhidden.append(unhidden)
             yield Progress(len(pictures), total, f"{len(pictures)} of {len(chosen)} frames")
         lights = []
-        probe = replace(settings.probe(), noise_target=NOISE_TARGET)
-        for light in reference_lights(scene, positions_m, probe, chosen[-1], exposure):
+        for light in reference_lights(scene, positions_m, settings.probe(), chosen[-1], exposure):
             lights.append(light)
             yield Progress(len(pictures) + len(lights), total, f"{len(lights)} of {len(positions_m)} positions")
         room = stored_room(pictures, exposure, positions_m, np.stack(is_unhidden), lights,
