@@ -1,9 +1,11 @@
 """The main job: what it leaves, that it repeats itself, that it goes on after a stop, what it refuses."""
 
+import math
 import shutil
 from collections import Counter
 from dataclasses import replace
 
+import bpy
 import numpy as np
 import pytest
 from previs_runs import (
@@ -21,6 +23,7 @@ from previs_runs import (
 from results_schema import read_strictly, without_times
 from tiny_scenes import room_with_a_virtual_sphere, sphere
 
+from xihe_blender.cli.previs import format_summary
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
@@ -138,6 +141,20 @@ def test_captures_that_are_gone_are_told(finished, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_ball_of_a_few_pixels_is_said_to_be_too_small_to_judge_by(tmp_path):
+    scene = room_with_a_virtual_sphere(1)
+    results = run(scene, tmp_path / "out")
+    (frame,), focal_px = results["frames"], 16 / math.tan(scene.camera.data.angle_x / 2)
+    away_m = math.dist(scene.camera.location, bpy.data.objects["Ball"].location)
+    # The disc that a sphere of 12 cm covers in the middle of a picture of 32 pixels across.
+    disc = math.pi * focal_px**2 * 0.12**2 / (away_m**2 - 0.12**2)
+    assert disc * 0.85 < frame["object_pixels"] < disc * 1.1
+    assert results["summary"]["object_pixels"] == frame["object_pixels"]
+    said = f"the virtual objects cover only {round(frame['object_pixels'])} pixels of a picture, too few to judge by"
+    assert any(said[1:] in note for note in results["notes"])
+    assert said in format_summary(results) and said in (tmp_path / "out" / "report.html").read_text("utf-8")
+
+
 def test_another_seed_gives_another(tmp_path):
     changes = [{"seed": seed, "frames": (1,), "exposure": 1.0} for seed in (0, 1)]
     one, other = (run(walk(), tmp_path / str(n), replace(SMALL, **change)) for n, change in enumerate(changes))

@@ -13,7 +13,7 @@ from xihe_blender.io.run_results import ComparedFrame, Metrics
 from xihe_blender.report.document import SCRIPT, STYLE, document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
 from xihe_blender.report.timeline import Timeline
-from xihe_blender.report.values import closeness, format_closeness
+from xihe_blender.report.values import closeness, format_closeness, too_small_to_judge
 from xihenet.formats import format_percent
 
 
@@ -63,6 +63,13 @@ def test_the_sentence_tells_better_worse_and_undefined_apart(own, ambient, expec
     results = runs.results(comparison={"projection": runs.metrics(own), "ambient": runs.metrics(ambient)})
     words = re.sub("<[^>]*>", "", report.format_result(results))
     assert expected in words
+
+
+@pytest.mark.parametrize(
+    ("pixels", "said"), [(None, ""), (0.0, ""), (0.3, "only 1 pixel of"), (99.4, "only 99 pixels of"), (100, "")]
+)
+def test_objects_of_few_pixels_are_said_to_be_too_small_to_judge_by(pixels, said):
+    assert said in (too_small_to_judge(pixels) or "") and bool(said) == (too_small_to_judge(pixels) is not None)
 
 
 def test_closeness_is_one_for_a_match_and_undefined_without_a_yardstick():

@@ -53,6 +53,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 
 def format_summary(results: dict[str, Any]) -> str:
     """The result of a previs run for someone who reads only one line."""
+    from xihe_blender.report.values import too_small_to_judge
+
     summary, estimator = results["summary"], results["settings"]["estimator"]
     ratio = (summary["rmse_against_ambient"] or {}).get(estimator)
     line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {summary['n_estimates']} estimates"
@@ -65,4 +67,6 @@ def format_summary(results: dict[str, Any]) -> str:
     if ratio is None or estimator == "ambient":
         return line
     word = "closer to" if ratio <= 1 else "further from"
-    return f"{line}; {estimator} is {abs(1 - ratio):.0%} {word} the ground truth than ambient (RMSE)"
+    small = too_small_to_judge(summary["object_pixels"])
+    caveat = "" if small is None else f", but {small}"
+    return f"{line}; {estimator} is {abs(1 - ratio):.0%} {word} the ground truth than ambient (RMSE){caveat}"

@@ -239,6 +239,7 @@ class ComparedFrame:
     pictures: Annotated[dict[str, str], "paths in the run's folder, by kind; `captured` is what the phone saw"]
     comparison: Annotated[dict[str, Metrics], "by method"]
     n_hueless_pixels: Annotated[Counts, "by method, black pixels that `angular_deg` leaves out"]
+    object_pixels: Annotated[float | None, "the pixels that virtual objects cover, by how much they cover"] = None
     comparison_render_s: Annotated[float, "0 where it was taken over"]
     comparison_same_as: Annotated[int | None, "the frame that it was taken over from, or None"]
     surfaces: Annotated[dict[str, tuple[SurfaceResult, ...]], "by object, where its shadow falls"] = field(
@@ -357,6 +358,7 @@ class Summary:
     render_s: Annotated[float, "of captures and light probes"]
     comparison_render_s: Annotated[float, "of compared pictures"] = 0.0
     overhead_share: Annotated[float | None, "work over rendering"] = None
+    object_pixels: Annotated[float | None, "that virtual objects cover, over compared frames"] = None
     rmse_against_ambient: Annotated[ByMethod, "its error over that of the ambient light"] = field(default_factory=dict)
     pilot_s: Annotated[float, "of choosing samples"] = 0.0
 

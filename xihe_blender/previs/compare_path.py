@@ -110,6 +110,7 @@ def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Compa
         pictures=_write_pictures(run, frame, compared),
         comparison=metrics,
         n_hueless_pixels=n_hueless,
+        object_pixels=float(compared.weights.sum()),
         comparison_render_s=compared.render_s,
         comparison_same_as=None,
         surfaces={name: tuple(map(as_surface_result, found)) for name, found in surfaces.items()},

@@ -275,6 +275,7 @@ def _summary(
         render_s=render_s,
         comparison_render_s=sum(of_frame.comparison_render_s for of_frame in compared),
         overhead_share=work_s / render_s if render_s else None,
+        object_pixels=mean(of_frame.object_pixels for of_frame in compared),
         rmse_against_ambient={
             name: None if metrics.rmse is None or not ambient else metrics.rmse / ambient
             for name, metrics in comparison.items()

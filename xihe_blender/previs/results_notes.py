@@ -14,6 +14,7 @@ from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.report.values import mean, too_small_to_judge
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.edge.client import EdgeBackend
 from xihenet.formats import format_frames
@@ -38,6 +39,7 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
         *exposure_notes(run.settings, run.exposure),
         *noise_notes(run.settings, run.sample_count, frames),
         *white_notes(frames),
+        *small_notes(frames),
     ]
 
 
@@ -211,6 +213,13 @@ def exposure_notes(settings: PrevisSettings, exposure: float) -> Iterator[str]:
     # No light to meter comes out as exactly 1, and light does not.
     if settings.exposure is None and exposure == 1.0:
         yield "The path shows no light to meter the exposure by, so the exposure is 1. Set another with --exposure."
+
+
+def small_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
+    """A sentence where the pictures show too little of the virtual objects to judge the light by."""
+    small = too_small_to_judge(mean(frame.compared.object_pixels for frame in frames if frame.compared is not None))
+    if small is not None:
+        yield f"{small[0].upper()}{small[1:]}: go nearer, or take larger pictures."
 
 
 def white_notes(frames: Sequence[FrameResult]) -> Iterator[str]:

@@ -15,7 +15,7 @@ from xihe_blender.report.document import SCRIPT, document, write_document
 from xihe_blender.report.pictures import pictures_section
 from xihe_blender.report.plots import plots_section
 from xihe_blender.report.tables import numbers_section
-from xihe_blender.report.values import closeness, code, escape, format_closeness, rmse_of
+from xihe_blender.report.values import closeness, code, escape, format_closeness, rmse_of, too_small_to_judge
 from xihenet.formats import DASH, format_bytes, format_count, format_number, format_percent, format_quantity
 
 
@@ -80,7 +80,9 @@ def _how_close(results: RunResults) -> str:
         ending = match if own == 0 else "differ from the ground truth, which they match"
         return f"{lit} {ending} with <code>ambient</code>."
     numbers = f"rmse {format_number(own)} against {format_number(ambient)}"
-    return f"{lit} {_against_ambient(1.0 - own / ambient)} ({numbers})."
+    small = too_small_to_judge(results.summary.object_pixels)
+    caveat = "" if small is None else f" But {small}."
+    return f"{lit} {_against_ambient(1.0 - own / ambient)} ({numbers}).{caveat}"
 
 
 def _against_ambient(closer: float) -> str:

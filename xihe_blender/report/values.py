@@ -10,7 +10,10 @@ import math
 from collections.abc import Iterable, Mapping
 
 from xihe_blender.io.run_results import Metrics
-from xihenet.formats import format_percent
+from xihenet.formats import format_count, format_percent
+
+FEW_PIXELS = 100
+"""Of fewer pixels of an object than this, more than a third are its edge."""
 
 
 def escape(value: object) -> str:
@@ -32,6 +35,14 @@ def mean(values: Iterable[float | None]) -> float | None:
 def rmse_of(comparison: Mapping[str, Metrics], method: str) -> float | None:
     """None for a method that was not compared or has no value."""
     return comparison[method].rmse if method in comparison else None
+
+
+def too_small_to_judge(object_pixels: float | None) -> str | None:
+    """Said of virtual objects that cover only `object_pixels` of a picture on average; None where they cover enough."""
+    if object_pixels is None or not 0 < object_pixels < FEW_PIXELS:
+        return None
+    pixels = format_count(max(1, round(object_pixels)), "pixel")
+    return f"the virtual objects cover only {pixels} of a picture, too few to judge by"
 
 
 def closeness(comparison: Mapping[str, Metrics], method: str) -> float | None:
