@@ -1,9 +1,12 @@
 """The main job: what it leaves, that it repeats itself, that it goes on after a stop, what it refuses."""
 
+import hashlib
+import json
 import math
 import shutil
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -29,6 +32,7 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet import estimators
 
 
 def entries(results):
@@ -240,6 +244,15 @@ def test_a_folder_of_another_run_is_refused(finished, change):
     with pytest.raises(UserError, match="another folder"):
         run(walk(), finished.outputs.folder, replace(SMALL, **change))
     assert files_below(finished.outputs.folder) == before
+
+
+def test_a_run_of_the_same_estimator_with_other_weights_is_refused(copied):
+    made = json.loads(copied.settings.read_text("utf-8"))
+    shipped = Path(estimators.__file__).parents[1] / "weights" / "lattice_hdr.npz"
+    assert made["weights"] == {"lattice": hashlib.sha256(shipped.read_bytes()).hexdigest()}
+    copied.settings.write_text(json.dumps(made | {"weights": {"lattice": "of another training"}}), "utf-8")
+    with pytest.raises(UserError, match="another weights"):
+        run(walk(), copied.folder)
 
 
 @pytest.mark.parametrize("name", ["results.json", "report.html", "untitled_lit.blend"])

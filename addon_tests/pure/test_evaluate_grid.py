@@ -69,6 +69,10 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     assert content["xihe"] == __version__
     assert from_json(BatchManifest, content).settings == SETTINGS
     Draft202012Validator(json_schema(BatchManifest)).validate(content)
+    content["weights"][SETTINGS.estimators[0]] = "of another training"
+    (tmp_path / "out" / "batch.json").write_text(json.dumps(content))
+    with pytest.raises(UserError, match="another weights"):
+        folder.manifest(SETTINGS).take()
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

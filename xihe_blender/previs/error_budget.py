@@ -75,6 +75,7 @@ from xihenet import estimators
 from xihenet.buffers import merge_in_sight
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext, Estimator
+from xihenet.estimators.weights_format import weights_sha256
 from xihenet.records import ArrayF64, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.satin_ball import SatinBall
@@ -123,7 +124,8 @@ def error_budget(
     plan, loaded = plan_previs(scene, settings), load_estimators(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
-    content = made_of(BUDGET, scene, file, settings, plan)
+    weights = weights_sha256([settings.estimator], settings.target)
+    content = made_of(BUDGET, scene, file, settings, plan) | {"weights": weights}
     manifest = FolderManifest(out, outputs.settings, BUDGET, content, (out / "report.html",))
     manifest.check()
     yield Progress(0, 1, "surveying the path")

@@ -32,6 +32,7 @@ from xihe_blender.previs.run_chain import WalkedPath, measure_phone, walk_path
 from xihe_blender.previs.settings import PrevisSettings, close_backends, load_estimators
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
+from xihenet.estimators.weights_format import weights_sha256
 from xihenet.recording import write_session
 
 
@@ -64,7 +65,8 @@ def previs(
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
     outputs = RunOutputs(out, file.stem)
     leaves = (outputs.results, outputs.report, outputs.lit_blend)
-    decides = made_of("a run", scene, file, settings, plan)
+    names = (settings.estimator, *settings.others)
+    decides = made_of("a run", scene, file, settings, plan) | {"weights": weights_sha256(names, settings.target)}
     if recorded is not None:
         decides |= {"recording": recorded.digest}
     manifest = FolderManifest(outputs.folder, outputs.settings, "a run", decides, leaves)

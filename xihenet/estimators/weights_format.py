@@ -9,10 +9,11 @@ code when it is read.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
@@ -117,17 +118,27 @@ def read_weights(
         raise ValueError(f"{path}: not the {estimator} weights this version reads: {error}") from None
 
 
+def shipped_weights(name: str, target: Target) -> Path:
+    """The weights file of an estimator, which may have none.
+
+    Of a network that is shipped for clipped light alone, that: as of `projection`, both targets give the same light.
+    """
+    own = WEIGHTS_FOLDER / f"{name}_{target}.npz"
+    return own if own.exists() else WEIGHTS_FOLDER / f"{name}_ldr.npz"
+
+
+def weights_sha256(names: Iterable[str], target: Target) -> dict[str, str]:
+    """By estimator, the digest of its weights file; those without weights are left out."""
+    files = {name: shipped_weights(name, target) for name in names}
+    return {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items() if file.exists()}
+
+
 def loaded_for(
     estimator: Estimator, path: Path | None, load: Callable[[Path], NetworkWeights[AnyArchitecture]]
 ) -> NetworkWeights[AnyArchitecture]:
-    """The weights that `load` reads, of the shipped file without a path; ValueError for those of another target.
-
-    Of a network that is shipped for clipped light alone, those: as of `projection`, both targets give the same light.
-    """
-    shipped = WEIGHTS_FOLDER / f"{estimator.name}_{estimator.target}.npz"
-    if path is None and not shipped.exists():
-        return load(WEIGHTS_FOLDER / f"{estimator.name}_ldr.npz")
-    path = path or shipped
+    """The weights that `load` reads, of the shipped file without a path; ValueError for those of another target."""
+    if path is None:
+        return load(shipped_weights(estimator.name, estimator.target))
     loaded = load(path)
     if loaded.target != estimator.target:
         raise ValueError(f"{path}: expected weights for the target {estimator.target!r}, got {loaded.target!r}")

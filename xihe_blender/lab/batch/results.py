@@ -30,6 +30,7 @@ from xihe_blender.io.run_results import Metrics
 from xihe_blender.lab.batch.grid import FORMAT_VERSION, BatchSettings, Unit
 from xihe_blender.lab.frontier.records import Frontier
 from xihenet import __version__
+from xihenet.estimators.weights_format import weights_sha256
 from xihenet.json_files import read_json
 from xihenet.phone import load_profile
 
@@ -174,6 +175,7 @@ class BatchManifest:
     xihe: Annotated[str, "version of xihe"]
     settings: Annotated[BatchSettings, "what all units share"]
     profiles: Annotated[dict[str, PhoneUsed], "its phones"]
+    weights: Annotated[dict[str, str], "SHA-256 of each network's weights file, by estimator"]
 
 
 WHICH = ("scene", "seed", "phone", "estimator")
@@ -214,7 +216,10 @@ class BatchFolder:
     def manifest(self, settings: BatchSettings) -> FolderManifest:
         """That the folder is for such a batch. Scenes and seeds may be others."""
         phones = {name: from_json(PhoneUsed, as_json(load_profile(name))) for name in settings.phones}
-        content = BatchManifest(format=FORMAT_VERSION, xihe=__version__, settings=settings, profiles=phones)
+        weights = weights_sha256(settings.estimators, settings.target)
+        content = BatchManifest(
+            format=FORMAT_VERSION, xihe=__version__, settings=settings, profiles=phones, weights=weights
+        )
         results = (self.path / "results.json",)
         return FolderManifest(self.path, self.path / "batch.json", "a batch", as_json(content), results)
 
