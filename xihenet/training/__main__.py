@@ -133,7 +133,7 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
         help="sampled validation rooms that calibrate the expected error of lattice")  # fmt: skip
     add(
         "--elsewhere", type=Path, nargs="+", default=(), metavar="DIR",
-        help="sampled clouds of rooms of another kind, a folder each, whose errors set the level of the expected error",
+        help="sampled clouds of rooms of another kind, a folder each, whose errors set how large an error is expected",
     )  # fmt: skip
     parser.set_defaults(run=_run_export)
 
@@ -144,8 +144,10 @@ def _run_export(options: argparse.Namespace) -> None:
         calibration = calibrate_network(options.network, [options.clouds])
         if options.elsewhere:
             calibration, kept = calibrate_elsewhere(options.network, calibration, options.elsewhere)
-            promised = zip(SHARES_ASKED, kept, strict=True)
-            _say("kept in rooms left out: " + ", ".join(f"{share:.0%} in {held:.0%}" for share, held in promised))
+            for views, of_views in kept.items():
+                promised = zip(SHARES_ASKED, of_views, strict=True)
+                said = ", ".join(f"{share:.0%} in {held:.0%}" for share, held in promised)
+                _say(f"kept in rooms left out, {views}: {said}")
         figures = calibration.as_figures()
     elif options.elsewhere:
         raise ValueError("--elsewhere: expected --clouds too, whose rooms teach the law")

@@ -96,34 +96,47 @@ def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Cal
 def calibration_elsewhere(
     calibration: Calibration, raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike
 ) -> Calibration:
-    """The same law with the level and the promises of rooms of another kind, each room counted alike.
+    """The same power with the level, the slope and the promises of rooms of another kind, each room counted alike.
 
-    A few rooms cannot teach a law, but they tell how far off the validation rooms' level and promises are elsewhere.
-    Parameters are those of `fit_calibration`; `room` (M,) is each cloud's. Errors of more than `MOST_MEDIANS` over the
-    median count as so many: one place before a lamp would set the level of all.
+    A few rooms cannot teach a law, but they tell how far off the validation rooms' level is elsewhere, and what seeing
+    more of the sphere does there. Parameters are those of `fit_calibration`; `room` (M,) is each cloud's. Errors of
+    more than `MOST_MEDIANS` over the median count as so many: one place before a lamp would set the level of all.
     """
     expected, errors, seen = _checked(raw, made, coverage)
-    ratios = errors / np.maximum(calibration.expected(expected, seen), SMALLEST_RAW)
     _, number, n_clouds = np.unique(np.asarray(room), return_inverse=True, return_counts=True)
     weights = 1 / n_clouds[number]
-    order = np.argsort(ratios, kind="stable")
+    flat = replace(calibration, slope=0.0)
+    ratios = errors / np.maximum(flat.expected(expected, seen), SMALLEST_RAW)
+    capped = np.minimum(ratios, _highest(ratios, weights))
+    slope = _likeliest_slope(capped, seen, weights)[0] if capped.any() else 0.0
+    ratios /= np.exp(slope * seen)
+    level = max(float(np.average(np.minimum(ratios, _highest(ratios, weights)), weights=weights)), SMALLEST_RAW)
+    quantiles = tuple(map(float, _quantiles(SHARES_ASKED, ratios, weights) / level))
+    return replace(calibration, factor=calibration.factor * level, slope=slope, quantiles=quantiles)
+
+
+def _highest(ratios: ArrayF64, weights: ArrayF64) -> float:
+    return MOST_MEDIANS * float(_quantiles(0.5, ratios, weights))
+
+
+def _quantiles(shares: float | Sequence[float], values: ArrayF64, weights: ArrayF64) -> ArrayF64:
+    """What shares of the weights lie below; each value has half of its own below it."""
+    order = np.argsort(values, kind="stable")
     below = (np.cumsum(weights[order]) - weights[order] / 2) / weights.sum()
-    highest = MOST_MEDIANS * np.interp(0.5, below, ratios[order])
-    level = max(float(np.average(np.minimum(ratios, highest), weights=weights)), SMALLEST_RAW)
-    quantiles = np.interp(SHARES_ASKED, below, ratios[order]) / level
-    return replace(calibration, factor=calibration.factor * level, quantiles=tuple(map(float, quantiles)))
+    return np.asarray(np.interp(shares, below, values[order]))
 
 
 def promises_left_out(
-    calibration: Calibration, raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike
+    calibration: Calibration, raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike, judged: ArrayBool
 ) -> tuple[float, ...]:
     """How well `calibration_elsewhere` keeps its promises in rooms it was not given: for each of `SHARES_ASKED` the
-    share of a room's clouds below what the other rooms promise, the mean over rooms, of which there are two or more.
+    share of a room's `judged` (M,) clouds below what the other rooms promise, the mean over rooms that have such; there
+    are two rooms or more.
     """
     expected, errors, seen = _checked(raw, made, coverage)
     number, kept = np.asarray(room), []
-    for left_out in np.unique(number):
-        others, here = number != left_out, number == left_out
+    for left_out in np.unique(number[judged]):
+        others, here = number != left_out, (number == left_out) & judged
         told = calibration_elsewhere(calibration, expected[others], errors[others], seen[others], number[others])
         limits = np.outer(told.quantiles, told.expected(expected[here], seen[here]))
         kept.append(np.mean(errors[here] <= limits, axis=1))
@@ -160,17 +173,25 @@ def _likeliest(log_raw: ArrayF64, coverage: ArrayF64, made: ArrayF64) -> tuple[f
     """Power and slope of the highest likelihood, 0 for what does not vary: with the factor put in, it is convex."""
     if not made.any():
         return 0.0, 0.0
-    x, c = log_raw - log_raw.mean(), coverage - coverage.mean()
+    x, alike = log_raw - log_raw.mean(), np.ones(len(made))
+
+    def best_slope(power: float) -> tuple[float, float]:
+        return _likeliest_slope(made * np.exp(-power * x), coverage, alike)
+
+    power = _lowest(lambda power: best_slope(power)[1], 0.0, STEEPEST if np.ptp(x) else 0.0)
+    return power, best_slope(power)[0]
+
+
+def _likeliest_slope(ratios: ArrayF64, coverage: ArrayF64, weights: ArrayF64) -> tuple[float, float]:
+    """The slope alone of errors over what the power expects, and how unlikely they still are."""
+    c = coverage - np.average(coverage, weights=weights)
     steepest = STEEPEST_IN_COVERAGE if np.ptp(c) else 0.0
 
-    def unlikeliness(power: float, slope: float) -> float:
-        return float(np.log(np.mean(made * np.exp(-power * x - slope * c))))
+    def unlikeliness(slope: float) -> float:
+        return float(np.log(np.average(ratios * np.exp(-slope * c), weights=weights)))
 
-    def best_slope(power: float) -> float:
-        return _lowest(lambda slope: unlikeliness(power, slope), -steepest, steepest)
-
-    power = _lowest(lambda power: unlikeliness(power, best_slope(power)), 0.0, STEEPEST if np.ptp(x) else 0.0)
-    return power, best_slope(power)
+    slope = _lowest(unlikeliness, -steepest, steepest)
+    return slope, unlikeliness(slope)
 
 
 def _lowest(of: Callable[[float], float], low: float, high: float) -> float:
@@ -269,9 +290,9 @@ def calibrate_network(network: Path, folders: Sequence[Path]) -> Calibration:
 
 def calibrate_elsewhere(
     network: Path, calibration: Calibration, folders: Sequence[Path]
-) -> tuple[Calibration, tuple[float, ...]]:
+) -> tuple[Calibration, dict[str, tuple[float, ...]]]:
     """`calibration` brought to the level of rooms of another kind, a folder of sampled clouds each, and how well its
-    promises are kept in each of them by the level of the others.
+    promises are kept in each of them by the level of the others, for clouds of one view and merged ones.
 
     ValueError for fewer than two folders, for broken ones, and for a network that expects no error.
     """
@@ -283,6 +304,12 @@ def calibrate_elsewhere(
         said = seeds.of_clouds(clouds, clouds)
         if said[0].raw_error is None or not len(clouds):
             raise ValueError(f"{folder}: expected clouds, and a network that knows its error")
-        errors.append(np.stack([said[0].raw_error, said[0].made, clouds.coverage, np.full(len(clouds), number)]))
-    known = np.concatenate(errors, axis=1)
-    return calibration_elsewhere(calibration, *known), promises_left_out(calibration, *known)
+        room, is_merged = np.full(len(clouds), number), np.asarray(clouds.n_views) > 1
+        errors.append(np.stack([said[0].raw_error, said[0].made, clouds.coverage, room, is_merged]))
+    raw, made, coverage, room, merged = np.concatenate(errors, axis=1)
+    kept = {
+        views: promises_left_out(calibration, raw, made, coverage, room, judged)
+        for views, judged in (("one view", merged == 0), ("merged", merged == 1))
+        if judged.any()
+    }
+    return calibration_elsewhere(calibration, raw, made, coverage, room), kept
