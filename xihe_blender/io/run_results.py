@@ -358,7 +358,7 @@ class Summary:
     render_s: Annotated[float, "of captures and light probes"]
     comparison_render_s: Annotated[float, "of compared pictures"] = 0.0
     overhead_share: Annotated[float | None, "work over rendering"] = None
-    object_pixels: Annotated[float | None, "that virtual objects cover, over compared frames"] = None
+    object_pixels: Annotated[float | None, "that virtual objects cover, over compared frames that show any"] = None
     rmse_against_ambient: Annotated[ByMethod, "its error over that of the ambient light"] = field(default_factory=dict)
     pilot_s: Annotated[float, "of choosing samples"] = 0.0
 

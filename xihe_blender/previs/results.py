@@ -19,7 +19,7 @@ from xihe_blender.io.provenance import machine, software
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.results_notes import notes, recorded_notes
+from xihe_blender.previs.results_notes import mean_object_pixels, notes, recorded_notes
 from xihe_blender.report.values import mean
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
@@ -275,7 +275,7 @@ def _summary(
         render_s=render_s,
         comparison_render_s=sum(of_frame.comparison_render_s for of_frame in compared),
         overhead_share=work_s / render_s if render_s else None,
-        object_pixels=mean(of_frame.object_pixels for of_frame in compared),
+        object_pixels=mean_object_pixels(frames),
         rmse_against_ambient={
             name: None if metrics.rmse is None or not ambient else metrics.rmse / ambient
             for name, metrics in comparison.items()

@@ -217,9 +217,14 @@ def exposure_notes(settings: PrevisSettings, exposure: float) -> Iterator[str]:
 
 def small_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
     """A sentence where the pictures show too little of the virtual objects to judge the light by."""
-    small = too_small_to_judge(mean(frame.compared.object_pixels for frame in frames if frame.compared is not None))
+    small = too_small_to_judge(mean_object_pixels(frames))
     if small is not None:
         yield f"{small[0].upper()}{small[1:]}: go nearer, or take larger pictures."
+
+
+def mean_object_pixels(frames: Sequence[FrameResult]) -> float | None:
+    """How many pixels virtual objects cover in compared frames; those that show none are left out, as of metrics."""
+    return mean(frame.compared.object_pixels or None for frame in frames if frame.compared is not None)
 
 
 def white_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
