@@ -101,7 +101,7 @@ def test_the_lattice_network_can_learn_eight_clouds_by_heart():
 
 
 def test_a_fresh_lattice_network_has_the_size_the_documentation_gives():
-    assert sum(p.numel() for p in LatticeNet().parameters()) == 113_842
+    assert sum(p.numel() for p in LatticeNet().parameters()) == 165_138
 
 
 @pytest.mark.parametrize("keeps", [False, True])

@@ -305,7 +305,9 @@ def test_a_stopped_training_ends_where_an_undisturbed_one_does(caches, tmp_path,
 
 
 def test_a_training_begins_with_other_weights_and_keeps_a_share_of_them(caches, tmp_path):
-    export_network(train(quick(caches["sphere"], tmp_path / "first")), tmp_path / "start.npz", is_half=False)
+    other_sizes = {"stem": 5, "middle": 7, "code": 9}
+    first = train(quick(caches["sphere"], tmp_path / "first", options=other_sizes))
+    export_network(first, tmp_path / "start.npz", is_half=False)
     start = weights(tmp_path / "first" / "best.pt")
     begun = {"start": tmp_path / "start.npz", "epochs": 1}
     still = train(quick(caches["sphere"], tmp_path / "still", learning_rate=0.0, **begun))

@@ -35,17 +35,17 @@ N_GATES = 6
 
 @dataclass(frozen=True)
 class LatticeArchitecture:
-    """Sizes of the network; the defaults make 113,842 parameters."""
+    """Sizes of the network; the defaults make 165,138 parameters."""
 
-    stem: int = 16  # features per anchor of the input, and then of the three levels
-    fine: int = 32
-    middle: int = 64
-    coarse: int = 64
+    stem: int = 24  # features per anchor of the input, and then of the three levels
+    fine: int = 48
+    middle: int = 96
+    coarse: int = 96
     narrow: int = 24  # features of each of the coarsest cells that go into the dense layers, which know their places
-    hidden: int = 96  # of the first dense layer, for each turn of the room
-    code: int = 48  # of the second
+    hidden: int = 128  # of the first dense layer, for each turn of the room
+    code: int = 64  # of the second
     spread: int = 8  # features that the code gives to each direction of the output, each by weights of its own
-    decoder: int = 48  # features per direction before the radiance
+    decoder: int = 72  # features per direction before the radiance
     # Light is added where anchors are clipped as well, and not only where nothing was seen: of all of the light, white
     # is the least that a clipped anchor says.
     opens_clipped: bool = False

@@ -190,7 +190,8 @@ def _size(light: Tensor) -> Tensor:
 
 def _start_or_resume(settings: TrainSettings) -> _Run:
     torch.manual_seed(settings.seed)
-    options = networks.options_for(settings.estimator, settings.target) | dict(settings.options)
+    sizes = {} if settings.start is None or settings.estimator != "lattice" else networks.sizes_in(settings.start)
+    options = {**sizes, **networks.options_for(settings.estimator, settings.target), **settings.options}
     net = networks.make_network(settings.estimator, **options).to(settings.device)
     if settings.start is not None:
         networks.take_weights(net, settings.start)

@@ -76,6 +76,11 @@ def take_weights(net: nn.Module, path: Path, share: float = 1.0) -> None:
             own.lerp_(torch.from_numpy(stored.arrays[name]).to(own.device), share)
 
 
+def sizes_in(path: Path) -> dict[str, int]:
+    """Sizes of the lattice network whose weights are in `path`, an .npz; ValueError where it is none."""
+    return {name: size for name, size in asdict(load_weights(path).architecture).items() if name != "opens_clipped"}
+
+
 def options_for(estimator: str, target: Target) -> dict[str, object]:
     """Options of the architecture that a target asks for."""
     return {"opens_clipped": True} if (estimator, target) == ("lattice", "hdr") else {}
