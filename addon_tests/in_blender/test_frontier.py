@@ -1,6 +1,7 @@
 """`xihe frontier`: what it judges, what it keeps, and a small one from end to end."""
 
 import copy
+import json
 import shutil
 from dataclasses import replace
 from functools import partial
@@ -266,6 +267,15 @@ def test_a_folder_of_another_frontier_and_two_scenes_of_one_name_are_refused(don
         run_blocking(frontier([done / "room.blend"], done / "out", replace(SMALL, seed=1)))
     with pytest.raises(UserError, match="two scenes are named 'room'"):
         run_blocking(frontier([done / "room.blend"] * 2, tmp_path / "out", SMALL))
+
+
+def test_a_frontier_of_other_weights_is_refused(done, tmp_path):
+    shutil.copytree(done / "out", tmp_path / "out")
+    provenance = tmp_path / "out" / "work" / "settings.json"
+    made = json.loads(provenance.read_text("utf-8"))
+    provenance.write_text(json.dumps(made | {"weights": made["weights"] | {"lattice": "of another training"}}), "utf-8")
+    with pytest.raises(UserError, match="holds a frontier with another training"):
+        run_blocking(frontier([done / "room.blend"], tmp_path / "out", SMALL))
 
 
 def test_a_scene_without_a_camera_is_refused_before_anything_is_measured(done, tmp_path):

@@ -71,7 +71,7 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     Draft202012Validator(json_schema(BatchManifest)).validate(content)
     content["weights"][SETTINGS.estimators[0]] = "of another training"
     (tmp_path / "out" / "batch.json").write_text(json.dumps(content))
-    with pytest.raises(UserError, match="another weights"):
+    with pytest.raises(UserError, match="another training"):
         folder.manifest(SETTINGS).take()
 
 

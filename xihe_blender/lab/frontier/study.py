@@ -61,8 +61,9 @@ from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
-from xihenet import __version__
+from xihenet import __version__, estimators
 from xihenet.effects import effects_as_json, plan_effects
+from xihenet.estimators.weights_format import weights_sha256
 from xihenet.records import ArrayF64
 
 Result = TypeVar("Result")
@@ -96,6 +97,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         "blender": bpy.app.version_string,
         "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
         "settings": asdict(settings),
+        "weights": weights_sha256(estimators.names(), "ldr"),
     }
     results = (out / "frontier.json",)
     FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).take()
@@ -172,8 +174,8 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
             computing_ms = dict(zip(backends, medians, strict=True))
             rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
             job = measure_pictures(renders, picture_choices(presets), rng)
-            pictured, estimators = yield from share("pictures", job)
-    of_pictures = {label: {OF_TRUTH[0]: errors} for label, errors in estimators.items()}
+            pictured, of_estimators = yield from share("pictures", job)
+    of_pictures = {label: {OF_TRUTH[0]: errors} for label, errors in of_estimators.items()}
     computed = [replace(one, square_errors=one.square_errors | of_pictures.get(one.label, {})) for one in computed]
     added = computing_ms[ComputeChoice()]
     with_computing = [replace(one, times_ms=tuple(ms + added for ms in one.times_ms)) for one in pictured]
