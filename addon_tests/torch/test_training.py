@@ -383,20 +383,19 @@ def test_the_expected_error_learns_the_mean_error(tmp_path):
     assert losses[0.3] < losses[0.2] and losses[0.3] < losses[0.4]
 
 
-def test_a_relative_loss_counts_bright_and_dark_lights_alike_and_too_little_as_much_as_too_much(tmp_path):
-    plain, relative = (quick(tmp_path, tmp_path, is_relative=on) for on in (False, True))
+def test_a_logarithmic_loss_counts_factors_alike_in_bright_and_dark_lights_and_in_large_and_small_errors(tmp_path):
+    plain, logarithmic = (quick(tmp_path, tmp_path, is_logarithmic=on) for on in (False, True))
     rng = np.random.default_rng(0)
-    truth = torch.from_numpy(rng.normal(size=(8, 9, 3)).astype(np.float32)) * 100
-    off = torch.ones(9, 3) * 10
+    truth, off = (torch.from_numpy(rng.normal(size=(8, 9, 3)).astype(np.float32)) * 100 for _ in range(2))
 
-    def loss(light, aim, settings):
-        return float(training_loss(light, None, aim, settings))
+    def loss(error, settings, brightness=1.0):
+        return float(training_loss((truth + error) * brightness, None, truth * brightness, settings))
 
-    assert loss(truth * 10 + off * 10, truth * 10, plain) > 5 * loss(truth + off, truth, plain)
-    assert loss(truth * 10 + off * 10, truth * 10, relative) == pytest.approx(
-        loss(truth + off, truth, relative), rel=0.01
-    )
-    assert loss(truth * 1.3, truth, relative) == pytest.approx(loss(truth, truth * 1.3, relative), rel=1e-5)
+    assert loss(off, plain, 10) > 5 * loss(off, plain)
+    assert loss(off, logarithmic, 10) == pytest.approx(loss(off, logarithmic), rel=0.01)
+    halved = [loss(error, logarithmic) - loss(error / 2, logarithmic) for error in (10 * off, 2 * off)]
+    assert halved[0] == pytest.approx(halved[1], rel=0.05)
+    assert loss(off, logarithmic) == loss(-off, logarithmic) and loss(0 * off, logarithmic) == 0
 
 
 def test_hidden_caps_leave_a_part_of_some_clouds_and_nothing_of_what_was_hidden():

@@ -106,10 +106,10 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
     add("--weight-decay", type=float, default=0.02, metavar="FACTOR", help="weight decay of the optimiser")
     add("--patience", type=int, default=15, metavar="N", help="epochs without improvement after which training ends")
     add(
-        "--relative-loss",
+        "--logarithmic-loss",
         action="store_true",
-        dest="is_relative",
-        help="count each error relative to the size of its light",
+        dest="is_logarithmic",
+        help="count by what factor an error is smaller, in place of by how much",
     )
     add("--huber-delta", type=float, default=1.0, metavar="ERROR",
         help="error of a coefficient from which the loss is linear in it")  # fmt: skip

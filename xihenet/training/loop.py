@@ -3,14 +3,14 @@
 Nothing random is left to chance or to a state that could be lost: the order of an epoch and what is hidden in it follow
 from the seed and the epoch's number, the learning rate from the step, and the networks draw nothing after they are
 made. So a checkpoint (weights, moving average, optimiser, history), after each epoch and every ten minutes of a long
-one, is all there is to keep. What is judged,
-and kept in the end, is the moving average; training stops when it has not become better on the validation rooms for
-`patience` epochs.
+one, is all there is to keep. What is judged, and kept in the end, is the moving average; training stops when it has not
+become better on the validation rooms for `patience` epochs.
 
 The loss is on coefficients and on irradiance at fixed normals, which is what a lit surface shows; a Huber loss, so that
-the few HDR lights of a hundred times the mean do not rule the rest. Where places in the sun are among the training
-rooms they do even so, and it can be counted relative to the size of each light (`is_relative`). The expected error is
-fitted to the RMSE that was made, by the likelihood of an exponential distribution, whose best guess is the mean error.
+the few lights of a hundred times the mean do not rule the rest. Where places in the sun are among the training rooms
+they do even so, and the errors of the many that are nearly right count for nothing. So it can be the logarithm of each
+light's error (`is_logarithmic`): what counts is by what factor an error became smaller. The expected error is fitted
+to the RMSE that was made, by the likelihood of an exponential distribution, whose best guess is the mean error.
 """
 
 from __future__ import annotations
@@ -40,8 +40,9 @@ KEEP_EVERY_S = 600.0
 Progress = Callable[[str], None]
 
 
-RELATIVE_FLOOR = 0.2  # Added to sizes that errors are relative to: the median light of the training rooms has 0.3
-RELATIVE_WEIGHT = 0.3  # Of a relative loss, so that it weighs about as much beside that of the expected error
+SMALL_LIGHT = 0.2  # Added to the size of a light; the median of the training rooms has 0.3.
+LOGARITHMIC_FROM = 0.1  # Of that size, the error from which halving it counts the same however large it is.
+LOGARITHMIC_WEIGHT = 0.15  # Of a logarithmic loss, so that it weighs about as much beside that of the expected error
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ class TrainSettings:
     irradiance_weight: float = 0.5  # of the second part of the loss
     error_weight: float = 0.02  # of the third
     huber_delta: float = 1.0  # difference of coefficients from which the loss is linear
-    # Of each cloud divided by the mean size of its light and of the truth, so that the brightest do not rule the rest.
-    is_relative: bool = False
+    # The logarithm of each light's error in place of Huber's loss, so that halving any error counts alike.
+    is_logarithmic: bool = False
     hidden_share: float = 0.3  # share of the training clouds of which a random cap is hidden, see `hide_caps`
     start: Path | None = None  # weights to begin with, as estimators read them (lattice); None for random ones
     start_share: float = 0.0  # of them in the weights that are judged and kept: between both may be better than either
@@ -164,19 +165,16 @@ def _drawn_caps(n: int, share: float, rng: np.random.Generator) -> tuple[ArrayF6
 
 def training_loss(light: Tensor, expected_error: Tensor | None, truth: Tensor, settings: TrainSettings) -> Tensor:
     """Scalar; light and truth (B, 9, 3)."""
-    # Over pi: what a white Lambert surface shows.
-    to_irradiance = torch.as_tensor((irradiance_table(N_NORMALS) / np.pi).astype(np.float32), device=light.device)
-    huber = nn.functional.huber_loss
-    judged, aim = light, truth
-    if settings.is_relative:
-        # Of both, or guessing too little would be cheaper than too much.
-        size = (_size(light.detach()) + _size(truth)) / 2 + RELATIVE_FLOOR
-        judged, aim = light / size[:, None, None], truth / size[:, None, None]
-    loss = huber(judged, aim, delta=settings.huber_delta)
-    irradiance = huber(to_irradiance @ judged, to_irradiance @ aim, delta=settings.huber_delta)
-    loss = loss + settings.irradiance_weight * irradiance
-    if settings.is_relative:
-        loss = loss * RELATIVE_WEIGHT
+    if settings.is_logarithmic:
+        floor = (LOGARITHMIC_FROM * (_size(truth) + SMALL_LIGHT)).square()
+        loss = LOGARITHMIC_WEIGHT * ((light - truth).square().mean((1, 2)) / floor + 1).log().mean()
+    else:
+        # Over pi: what a white Lambert surface shows.
+        to_irradiance = torch.as_tensor((irradiance_table(N_NORMALS) / np.pi).astype(np.float32), device=light.device)
+        huber = nn.functional.huber_loss
+        loss = huber(light, truth, delta=settings.huber_delta)
+        irradiance = huber(to_irradiance @ light, to_irradiance @ truth, delta=settings.huber_delta)
+        loss = loss + settings.irradiance_weight * irradiance
     if expected_error is not None:
         made = _size(light.detach() - truth)
         loss = loss + settings.error_weight * (expected_error.log() + made / expected_error).mean()
