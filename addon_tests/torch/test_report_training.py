@@ -308,7 +308,12 @@ def test_a_calibration_finds_its_law_and_keeps_its_promises():
     assert (np.diff(found.expected(np.linspace(0, 1, 50), 0.5)) > 0).all()
 
 
-def test_rooms_of_another_kind_set_the_level_the_slope_and_the_promises_each_room_alike():
+def asked_of(n_rooms):
+    """What promises of so many rooms hold, so that they hold in one more."""
+    return [min(share * (n_rooms + 1) / n_rooms, 1) for share in SHARES_ASKED]
+
+
+def test_rooms_of_another_kind_set_the_power_the_level_the_slope_and_the_promises_each_room_alike():
     rng = np.random.default_rng(0)
     raw, coverage = rng.uniform(0.02, 0.3, 30_000), rng.uniform(0, 1, 30_000)
     room = rng.choice(4, len(raw), p=[0.7, 0.1, 0.1, 0.1])
@@ -316,7 +321,8 @@ def test_rooms_of_another_kind_set_the_level_the_slope_and_the_promises_each_roo
     made = raw * of_rooms * rng.gamma(4.0, 0.25, len(raw))
     here = Calibration(1.0, 1.0, -0.2, (0.7, 1.1, 2.3))
     found = calibration_elsewhere(here, raw, made, coverage, room)
-    assert found.power == here.power and found.factor == pytest.approx(3.0, rel=0.02)
+    assert found.power == pytest.approx(1.0, abs=0.03)
+    np.testing.assert_allclose(found.expected(0.15, 0), 3.0 * 0.15, rtol=0.02)
     assert found.slope == pytest.approx(-0.8, abs=0.05)
     far_off = made.copy()
     far_off[np.flatnonzero(room == 1)[0]] *= 1e9
@@ -325,16 +331,16 @@ def test_rooms_of_another_kind_set_the_level_the_slope_and_the_promises_each_roo
     is_kept = made <= np.outer(found.quantiles, found.expected(raw, coverage))
     for seen, tolerance in ((coverage >= 0, 0.01), (coverage < 0.25, 0.03), (coverage > 0.75, 0.03)):
         kept = np.mean([np.mean(is_kept[:, seen & (room == number)], axis=1) for number in range(4)], axis=0)
-        np.testing.assert_allclose(kept, SHARES_ASKED, atol=tolerance)
+        np.testing.assert_allclose(kept, asked_of(4), atol=tolerance)
     everything = np.ones(len(raw), bool)
     left_out = promises_left_out(here, raw, made, coverage, room, everything)
-    assert all(held < share + 0.02 for held, share in zip(left_out, SHARES_ASKED, strict=True)) and left_out[0] > 0.3
+    assert all(held < share + 0.02 for held, share in zip(left_out, asked_of(3), strict=True)) and left_out[0] > 0.3
     nothing = calibration_elsewhere(here, raw, np.zeros(len(raw)), coverage, room)
     assert nothing.slope == 0 and nothing.factor < 1e-5
     alike = 3.0 * raw * rng.gamma(4.0, 0.25, len(raw))
     for judged in (everything, (coverage > 0.8) & (room > 0)):
         kept = promises_left_out(here, raw, alike, coverage, room, judged)
-        np.testing.assert_allclose(kept, SHARES_ASKED, atol=0.02 if judged.all() else 0.03)
+        np.testing.assert_allclose(kept, asked_of(3), atol=0.02 if judged.all() else 0.03)
 
 
 def test_weights_are_calibrated_by_rooms_of_another_kind_and_say_how_well(folders, networks, tmp_path, capsys):
@@ -345,7 +351,7 @@ def test_weights_are_calibrated_by_rooms_of_another_kind_and_say_how_well(folder
     here = calibration.calibrate_network(networks["lattice_0"], [folders["sphere"]])
     told, _ = calibration.calibrate_elsewhere(networks["lattice_0"], here, [folders["sphere"]] * 2)
     assert Calibration.from_figures(load_weights(tmp_path / "a.npz").figures) == told
-    assert told.factor > 0 and told.power == here.power
+    assert told.factor > 0 and told.power >= 0
     assert command_line.main([*command, "--elsewhere", elsewhere[0]]) == 2
     assert "two rooms or more, got 1" in capsys.readouterr().err
     assert command_line.main([*command[:3], "--elsewhere", *elsewhere]) == 2

@@ -96,23 +96,28 @@ def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Cal
 def calibration_elsewhere(
     calibration: Calibration, raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike
 ) -> Calibration:
-    """The same power with the level, the slope and the promises of rooms of another kind, each room counted alike.
+    """`calibration` brought to rooms of another kind, each counted alike: power, level, slope and promises.
 
-    A few rooms cannot teach a law, but they tell how far off the validation rooms' level is elsewhere, and what seeing
-    more of the sphere does there. Parameters are those of `fit_calibration`; `room` (M,) is each cloud's. Errors of
-    more than `MOST_MEDIANS` over the median count as so many: one place before a lamp would set the level of all.
+    The power is that of least squares of the logarithms, the slope that of the promised quantiles, by composite
+    quantile regression (Zou and Yuan, 2008): a few large errors do not rule them, as they do a likelihood. Of n rooms,
+    promises hold a share (n + 1) / n times the asked one, so that they hold in the next (conformal prediction).
+    Parameters are those of `fit_calibration`; `room` (M,) is each cloud's. For the level, errors of more than
+    `MOST_MEDIANS` over the median count as so many: one place before a lamp would set that of all.
     """
     expected, errors, seen = _checked(raw, made, coverage)
     _, number, n_clouds = np.unique(np.asarray(room), return_inverse=True, return_counts=True)
     weights = 1 / n_clouds[number]
-    flat = replace(calibration, slope=0.0)
+    logs = np.log(np.maximum([errors, expected], SMALLEST_RAW))
+    log_errors, *of = (row - np.average(row, weights=weights) for row in (*logs, seen))
+    fitted = np.linalg.lstsq(np.transpose(of) * np.sqrt(weights)[:, None], log_errors * np.sqrt(weights), rcond=None)[0]
+    power = float(np.clip(fitted[0], 0, STEEPEST))
+    slope = _slope_by_quantiles(logs[0] - power * logs[1], seen, weights) if errors.any() else 0.0
+    flat = replace(calibration, power=power, slope=slope)
     ratios = errors / np.maximum(flat.expected(expected, seen), SMALLEST_RAW)
-    capped = np.minimum(ratios, _highest(ratios, weights))
-    slope = _likeliest_slope(capped, seen, weights)[0] if capped.any() else 0.0
-    ratios /= np.exp(slope * seen)
     level = max(float(np.average(np.minimum(ratios, _highest(ratios, weights)), weights=weights)), SMALLEST_RAW)
-    quantiles = tuple(map(float, _quantiles(SHARES_ASKED, ratios, weights) / level))
-    return replace(calibration, factor=calibration.factor * level, slope=slope, quantiles=quantiles)
+    shares = [min(share * (len(n_clouds) + 1) / len(n_clouds), 1.0) for share in SHARES_ASKED]
+    quantiles = tuple(map(float, _quantiles(shares, ratios, weights) / level))
+    return replace(flat, factor=calibration.factor * level, quantiles=quantiles)
 
 
 def _highest(ratios: ArrayF64, weights: ArrayF64) -> float:
@@ -192,6 +197,19 @@ def _likeliest_slope(ratios: ArrayF64, coverage: ArrayF64, weights: ArrayF64) ->
 
     slope = _lowest(unlikeliness, -steepest, steepest)
     return slope, unlikeliness(slope)
+
+
+def _slope_by_quantiles(log_ratios: ArrayF64, coverage: ArrayF64, weights: ArrayF64) -> float:
+    """How logarithms fall with coverage, by all the quantiles that are promised at once."""
+    c, shares = coverage - np.average(coverage, weights=weights), np.asarray(SHARES_ASKED)[:, None]
+    steepest = STEEPEST_IN_COVERAGE if np.ptp(c) else 0.0
+
+    def loss(slope: float) -> float:
+        left = log_ratios - slope * c
+        off = left - _quantiles(SHARES_ASKED, left, weights)[:, None]
+        return float(np.average(np.maximum(shares * off, (shares - 1) * off).sum(axis=0), weights=weights))
+
+    return _lowest(loss, -steepest, steepest)
 
 
 def _lowest(of: Callable[[float], float], low: float, high: float) -> float:
@@ -291,7 +309,7 @@ def calibrate_network(network: Path, folders: Sequence[Path]) -> Calibration:
 def calibrate_elsewhere(
     network: Path, calibration: Calibration, folders: Sequence[Path]
 ) -> tuple[Calibration, dict[str, tuple[float, ...]]]:
-    """`calibration` brought to the level of rooms of another kind, a folder of sampled clouds each, and how well its
+    """`calibration` brought to rooms of another kind, a folder of sampled clouds each, and how well its
     promises are kept in each of them by the level of the others, for clouds of one view and merged ones.
 
     ValueError for fewer than two folders, for broken ones, and for a network that expects no error.

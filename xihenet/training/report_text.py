@@ -35,7 +35,8 @@ def report_markdown(report: Report) -> str:
 
 
 def _table_section(table: Table, head: ReportHead) -> list[str]:
-    title = f"## {table.name[:1].upper()}{table.name[1:]}: {table.n_clouds} clouds, {table.n_rooms} rooms"
+    of_rooms = "one room" if table.n_rooms == 1 else f"{table.n_rooms} rooms"
+    title = f"## {table.name[:1].upper()}{table.name[1:]}: {table.n_clouds} clouds, {of_rooms}"
     if not table.n_clouds:
         return [title, "", "No such clouds.", ""]
     seen = "/".join(map(_percent, table.coverage.values()))
