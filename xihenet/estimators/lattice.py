@@ -4,7 +4,9 @@ What was seen is projected to coefficients (`xihenet.sh.project_anchors`); a net
 coarser grids and says what radiance that projection lacks in each cell of the second, which an exact quadrature turns
 into coefficients. The result is a light and not 27 loose numbers. Where all was seen, or nothing varies, nothing is
 added: constant light comes out constant, one set anchor gives its colour from everywhere, and none gives black. What is
-added is no larger than twice the error that the network expects of itself.
+added is no larger than twice the error that the network expects of itself. How bright a lamp is can hardly be read off
+a clipped picture, and too bright a guess costs more than too dark a one: in all of the light, the further what is added
+exceeds what was seen, the smaller the part of it that counts.
 
 It is added where nothing was seen and, in all of the light, where anchors are clipped (`opens_clipped`) and have a
 distance. The sky in a window has none; taken for a lamp, it made rooms in daylight too bright. A clipped lamp is white
@@ -25,7 +27,7 @@ every step runs along contiguous memory; directions, biases and what is not set 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,9 +63,8 @@ SKY_FROM_M = 0.75 * FAR_M  # Light without a distance, also if it has been carri
 SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
-GUESSED = 0.5  # Share of the light guessed in unseen directions that is added in HDR up to a coverage of LITTLE_SEEN;
-LITTLE_SEEN, MUCH_SEEN = 0.4, 0.8  # all of it from MUCH_SEEN on. Rooms unlike those of the training have other lamps.
 MOST_ADDED = 2.0  # Times its raw expected error, the most that the network adds to the projection, root mean square.
+MUCH_ADDED = 2.5  # Times the projection; in HDR, what is added counts by its logarithm in these units, log(1 + x).
 WHITE_L00 = float(np.sqrt(4 * np.pi))  # Of light that is 1 from everywhere.
 SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
 
@@ -251,8 +252,10 @@ class LatticeNetwork:
         added = (unseen[:, None] * np.tanh(gate[:, GATE_OF]))[..., None] * projection
         lacking = self._lacking(decoder_inputs, self._spread(code), open_share) * contrast[:, None]
         added += lacking.transpose(1, 2, 0) * added_level.T[:, None]
-        size = np.sqrt(np.mean(np.square(added), axis=(1, 2)))
+        size = _size(added)
         added *= np.minimum(1, MOST_ADDED * expected_error / np.maximum(size, SMALLEST_ERROR))[:, None, None]
+        if self._opens_clipped:
+            added *= _believed(_size(added / level.T[:, None]), _size(relative))[:, None, None]
         sh_radiance = projection + added
         np.maximum(sh_radiance[:, 0], 0, out=sh_radiance[:, 0])
         return sh_radiance.astype(np.float64), expected_error.astype(np.float64)
@@ -362,10 +365,8 @@ class LatticeNetwork:
             return 1 - seen, 1 - coverage
         lamps = inputs[_CLIPPED] * (inputs[_DISTANCE] < np.float32(np.log(SKY_FROM_M + NEAREST_M)))
         lamp_share = _product(self._to_fine.sums(known * lamps) / self._to_fine.counts, self._to_middle)
-        known_enough = ((coverage - LITTLE_SEEN) / (MUCH_SEEN - LITTLE_SEEN)).clip(0, 1)
-        guessed = np.float32(GUESSED) + np.float32(1 - GUESSED) * known_enough
         lamp_coverage = (counted * lamps).sum(axis=1) / np.float32(self.n_anchors)
-        return guessed[:, None] * (1 - seen) + lamp_share, guessed * (1 - coverage) + lamp_coverage
+        return 1 - seen + lamp_share, 1 - coverage + lamp_coverage
 
     def _lacking(self, decoder_inputs: ArrayF32, spread: ArrayF32, open_share: ArrayF32) -> ArrayF32:
         """(3, B, 9) coefficients of what the projection lacks in the open share, relative to each channel's mean."""
@@ -461,6 +462,17 @@ def _linear(srgb: ArrayF32) -> ArrayF32:
     np.exp(linear, out=linear)
     np.copyto(linear, srgb * np.float32(1 / 12.92), where=srgb <= np.float32(0.04045))
     return linear
+
+
+def _size(light: ArrayF32) -> ArrayF32:
+    """(B,) root mean square of (B, 9, 3)."""
+    return cast(ArrayF32, np.sqrt(np.mean(np.square(light), axis=(1, 2))))
+
+
+def _believed(size: ArrayF32, projection_size: ArrayF32) -> ArrayF32:
+    """(B,) the share of what is added that counts; both sizes relative to the channels' means."""
+    in_units = np.maximum(size / np.maximum(MUCH_ADDED * projection_size, SMALLEST_ERROR), SMALLEST_ERROR)
+    return cast(ArrayF32, np.log1p(in_units) / in_units)
 
 
 def _lit_level(linear: ArrayF32, unclipped: ArrayF32, level: ArrayF32) -> ArrayF32:

@@ -22,10 +22,8 @@ from xihenet.estimators.lattice import (
     CLIPPED_FROM,
     CONTRAST_SCALE,
     FARTHEST_M,
-    GUESSED,
-    LITTLE_SEEN,
     MOST_ADDED,
-    MUCH_SEEN,
+    MUCH_ADDED,
     NEAREST_M,
     SKY_FROM_M,
     SMALLEST_ERROR,
@@ -53,7 +51,7 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
 
     `forward(srgb (B, N, 3), distance_m (B, N), is_set (B, N), facing (B, N) or None)` gives (B, 9, 3) coefficients and
     (B,) expected errors; N may differ from call to call. Anchors that are not set must be 0. The expected error sends
-    no gradient into the layers that make the light. While it trains, all that it guesses counts (`GUESSED`).
+    no gradient into the layers that make the light. While it trains, all that it adds counts (`MUCH_ADDED`).
     """
 
     def __init__(self, architecture: LatticeArchitecture | None = None) -> None:
@@ -97,17 +95,18 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         expected_error = nn.functional.softplus(raw) * level.mean((1, 2)) + SMALLEST_ERROR
         open_anchors, added_level = 1 - known, level
         if self.architecture.opens_clipped:
-            if not self.training:
-                known_enough = ((known.mean(1) - LITTLE_SEEN) / (MUCH_SEEN - LITTLE_SEEN)).clamp(0, 1)
-                open_anchors = open_anchors * (GUESSED + (1 - GUESSED) * known_enough)[:, None]
             open_anchors = open_anchors + known * clipped * (distance_m < SKY_FROM_M).float()
             added_level = self._lit_level(linear, known * (1 - clipped), level)
         unseen = contrast * open_anchors.mean(1)
         gate = unseen[:, None] * torch.tanh(self.layer("gate")(mean_code)[:, GATE_OF])
         radiance = self._radiance(middle, aside, code, self._share(open_anchors)) * contrast[:, None, None]
         added = gate[..., None] * projection + (self._constant("quadrature", 0, srgb.device) @ radiance) * added_level
-        size = added.square().mean((1, 2)).clamp(min=SMALLEST_ERROR**2).sqrt()
+        size = _size(added)
         added = added * (MOST_ADDED * expected_error.detach() / size).clamp(max=1)[:, None, None]
+        if self.architecture.opens_clipped and not self.training:
+            unit = (MUCH_ADDED * _size(relative)).clamp(min=SMALLEST_ERROR)
+            in_units = (_size(added / level) / unit).clamp(min=SMALLEST_ERROR)
+            added = added * (torch.log1p(in_units) / in_units)[:, None, None]
         sh_radiance = projection + added
         return torch.cat([sh_radiance[:, :1].clamp(min=0), sh_radiance[:, 1:]], 1), expected_error
 
@@ -223,6 +222,11 @@ def _contrast(relative: Tensor, n_set: Tensor) -> Tensor:
     """(B,) 0 where all that was seen is alike, near 1 for any real picture."""
     variance = relative.square().sum((1, 2)) / (3 * n_set)
     return variance / (variance + CONTRAST_SCALE**2)
+
+
+def _size(light: Tensor) -> Tensor:
+    """(B,) root mean square of (B, 9, 3), not quite 0, where a root has no slope."""
+    return light.square().mean((1, 2)).clamp(min=SMALLEST_ERROR**2).sqrt()
 
 
 def _squeezed(values: Tensor) -> Tensor:
