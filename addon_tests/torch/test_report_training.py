@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -319,7 +320,7 @@ def test_rooms_of_another_kind_set_the_power_the_level_the_slope_and_the_promise
     room = rng.choice(4, len(raw), p=[0.7, 0.1, 0.1, 0.1])
     of_rooms = 3.0 * np.exp(-0.8 * coverage) * np.array([0.5, 1.0, 1.0, 1.5])[room]
     made = raw * of_rooms * rng.gamma(4.0, 0.25, len(raw))
-    here = Calibration(1.0, 1.0, -0.2, (0.7, 1.1, 2.3))
+    here = Calibration(1.0, 0.6, -0.2, (0.7, 1.1, 2.3))
     found = calibration_elsewhere(here, raw, made, coverage, room)
     assert found.power == pytest.approx(1.0, abs=0.03)
     np.testing.assert_allclose(found.expected(0.15, 0), 3.0 * 0.15, rtol=0.02)
@@ -335,6 +336,11 @@ def test_rooms_of_another_kind_set_the_power_the_level_the_slope_and_the_promise
     everything = np.ones(len(raw), bool)
     left_out = promises_left_out(here, raw, made, coverage, room, everything)
     assert all(held < share + 0.02 for held, share in zip(left_out, asked_of(3), strict=True)) and left_out[0] > 0.3
+    of_many = rng.integers(0, 60, len(raw))
+    told = calibration_elsewhere(here, raw, made, coverage, of_many)
+    held = np.mean(made <= np.outer(told.quantiles, told.expected(raw, coverage)), axis=1)
+    np.testing.assert_allclose(held, asked_of(60), atol=0.01)
+    np.testing.assert_allclose(held, SHARES_ASKED, atol=0.03)
     nothing = calibration_elsewhere(here, raw, np.zeros(len(raw)), coverage, room)
     assert nothing.slope == 0 and nothing.factor < 1e-5
     alike = 3.0 * raw * rng.gamma(4.0, 0.25, len(raw))
@@ -351,7 +357,10 @@ def test_weights_are_calibrated_by_rooms_of_another_kind_and_say_how_well(folder
     here = calibration.calibrate_network(networks["lattice_0"], [folders["sphere"]])
     told, _ = calibration.calibrate_elsewhere(networks["lattice_0"], here, [folders["sphere"]] * 2)
     assert Calibration.from_figures(load_weights(tmp_path / "a.npz").figures) == told
-    assert told.factor > 0 and told.power >= 0
+    again, _ = calibration.calibrate_elsewhere(
+        networks["lattice_0"], replace(here, power=2.5, slope=1.0), [folders["sphere"]] * 2
+    )
+    assert told.factor > 0 and (told.power, told.slope, told.quantiles) == (again.power, again.slope, again.quantiles)
     assert command_line.main([*command, "--elsewhere", elsewhere[0]]) == 2
     assert "two rooms or more, got 1" in capsys.readouterr().err
     assert command_line.main([*command[:3], "--elsewhere", *elsewhere]) == 2
