@@ -125,7 +125,7 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_export_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("network", type=Path, help="trained network, a .pt file")
+    add("network", type=Path, help="trained network, a .pt file, or weights of lattice to calibrate anew, .npz")
     add("out", type=Path, help="weights to write, an .npz file")
     add("--data", default="", help="description of the training data")
     add("--anchors", type=int, metavar="N", help="points that a PointConv network was trained with")
@@ -133,24 +133,22 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
         help="sampled validation rooms that calibrate the expected error of lattice")  # fmt: skip
     add(
         "--elsewhere", type=Path, nargs="+", default=(), metavar="DIR",
-        help="sampled clouds of rooms of another kind, a folder each, whose errors set how large an error is expected",
+        help="sampled clouds of rooms of another kind, a folder each, that calibrate it in place of --clouds",
     )  # fmt: skip
     parser.set_defaults(run=_run_export)
 
 
 def _run_export(options: argparse.Namespace) -> None:
     figures = {}
-    if options.clouds is not None:
-        calibration = calibrate_network(options.network, [options.clouds])
-        if options.elsewhere:
-            calibration, kept = calibrate_elsewhere(options.network, calibration, options.elsewhere)
-            for views, of_views in kept.items():
-                promised = zip(SHARES_ASKED, of_views, strict=True)
-                said = ", ".join(f"{share:.0%} in {held:.0%}" for share, held in promised)
-                _say(f"kept in rooms left out, {views}: {said}")
+    if options.elsewhere:
+        calibration, kept = calibrate_elsewhere(options.network, options.elsewhere)
+        for views, of_views in kept.items():
+            promised = zip(SHARES_ASKED, of_views, strict=True)
+            said = ", ".join(f"{share:.0%} in {held:.0%}" for share, held in promised)
+            _say(f"kept in rooms left out, {views}: {said}")
         figures = calibration.as_figures()
-    elif options.elsewhere:
-        raise ValueError("--elsewhere: expected --clouds too, whose rooms teach the law")
+    elif options.clouds is not None:
+        figures = calibrate_network(options.network, [options.clouds]).as_figures()
     export_network(options.network, options.out, data=options.data, figures=figures, n_points=options.anchors)
 
 

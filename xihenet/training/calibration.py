@@ -93,10 +93,8 @@ def fit_calibration(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike) -> Cal
     return Calibration(factor, power, slope, tuple(map(float, quantiles)))
 
 
-def calibration_elsewhere(
-    calibration: Calibration, raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike
-) -> Calibration:
-    """`calibration` brought to rooms of another kind, each counted alike: power, level, slope and promises.
+def calibration_elsewhere(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike) -> Calibration:
+    """The calibration of rooms of another kind than the training's, each counted alike.
 
     The power is that of least squares of the logarithms, the slope that of the promised quantiles, by composite
     quantile regression (Zou and Yuan, 2008): a few large errors do not rule them, as they do a likelihood. Of n rooms,
@@ -112,12 +110,12 @@ def calibration_elsewhere(
     fitted = np.linalg.lstsq(np.transpose(of) * np.sqrt(weights)[:, None], log_errors * np.sqrt(weights), rcond=None)[0]
     power = float(np.clip(fitted[0], 0, STEEPEST))
     slope = _slope_by_quantiles(logs[0] - power * logs[1], seen, weights) if errors.any() else 0.0
-    flat = replace(calibration, power=power, slope=slope)
+    flat = Calibration(1.0, power, slope, (1.0,) * len(SHARES_ASKED))
     ratios = errors / np.maximum(flat.expected(expected, seen), SMALLEST_RAW)
     level = max(float(np.average(np.minimum(ratios, _highest(ratios, weights)), weights=weights)), SMALLEST_RAW)
     shares = [min(share * (len(n_clouds) + 1) / len(n_clouds), 1.0) for share in SHARES_ASKED]
     quantiles = tuple(map(float, _quantiles(shares, ratios, weights) / level))
-    return replace(flat, factor=calibration.factor * level, quantiles=quantiles)
+    return replace(flat, factor=level, quantiles=quantiles)
 
 
 def _highest(ratios: ArrayF64, weights: ArrayF64) -> float:
@@ -132,7 +130,7 @@ def _quantiles(shares: float | Sequence[float], values: ArrayF64, weights: Array
 
 
 def promises_left_out(
-    calibration: Calibration, raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike, judged: ArrayBool
+    raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, room: ArrayLike, judged: ArrayBool
 ) -> tuple[float, ...]:
     """How well `calibration_elsewhere` keeps its promises in rooms it was not given: for each of `SHARES_ASKED` the
     share of a room's `judged` (M,) clouds below what the other rooms promise, the mean over rooms that have such; there
@@ -142,7 +140,7 @@ def promises_left_out(
     number, kept = np.asarray(room), []
     for left_out in np.unique(number[judged]):
         others, here = number != left_out, (number == left_out) & judged
-        told = calibration_elsewhere(calibration, expected[others], errors[others], seen[others], number[others])
+        told = calibration_elsewhere(expected[others], errors[others], seen[others], number[others])
         limits = np.outer(told.quantiles, told.expected(expected[here], seen[here]))
         kept.append(np.mean(errors[here] <= limits, axis=1))
     return tuple(map(float, np.mean(kept, axis=0)))
@@ -306,11 +304,9 @@ def calibrate_network(network: Path, folders: Sequence[Path]) -> Calibration:
     return found.by_seed[0]
 
 
-def calibrate_elsewhere(
-    network: Path, calibration: Calibration, folders: Sequence[Path]
-) -> tuple[Calibration, dict[str, tuple[float, ...]]]:
-    """`calibration` brought to rooms of another kind, a folder of sampled clouds each, and how well its
-    promises are kept in each of them by the level of the others, for clouds of one view and merged ones.
+def calibrate_elsewhere(network: Path, folders: Sequence[Path]) -> tuple[Calibration, dict[str, tuple[float, ...]]]:
+    """The calibration of rooms of another kind, a folder of sampled clouds each, and how well its promises are kept in
+    each of them by that of the others, for clouds of one view and merged ones.
 
     ValueError for fewer than two folders, for broken ones, and for a network that expects no error.
     """
@@ -326,8 +322,8 @@ def calibrate_elsewhere(
         errors.append(np.stack([said[0].raw_error, said[0].made, clouds.coverage, room, is_merged]))
     raw, made, coverage, room, merged = np.concatenate(errors, axis=1)
     kept = {
-        views: promises_left_out(calibration, raw, made, coverage, room, judged)
+        views: promises_left_out(raw, made, coverage, room, judged)
         for views, judged in (("one view", merged == 0), ("merged", merged == 1))
         if judged.any()
     }
-    return calibration_elsewhere(calibration, raw, made, coverage, room), kept
+    return calibration_elsewhere(raw, made, coverage, room), kept

@@ -125,7 +125,12 @@ def save_network(path: Path, trained: TrainedNetwork) -> None:
 
 
 def load_network(path: Path, device: str = "cpu") -> TrainedNetwork:
-    """Read what `save_network` wrote; ValueError naming the file if it is something else."""
+    """Read what `save_network` wrote, or weights of `lattice` (.npz); ValueError naming the file if it is neither."""
+    if path.suffix == ".npz":
+        stored = load_weights(path)
+        lattice = make_network("lattice", **asdict(stored.architecture)).to(device)
+        take_weights(lattice, path)
+        return TrainedNetwork("lattice", stored.target, stored.seed or 0, lattice)
     content = read_torch(path, device)
     try:
         net = make_network(content["estimator"], **content["architecture"]).to(device)
