@@ -18,6 +18,7 @@ from xihenet.camera import unproject_frame
 from xihenet.codec import decode_cloud, encode_cloud
 from xihenet.colour import srgb_to_linear
 from xihenet.estimators.lattice import (
+    BRIGHT_GUESS_LDR,
     CLIPPED_FROM,
     CONTRAST_SCALE,
     FARTHEST_M,
@@ -267,7 +268,10 @@ def light_in_float64(weights: LatticeWeights, cloud: UnitSphereCloud) -> ArrayF6
     added = contrast * (gate[:, None] * projection + quadrature_matrix().astype(float) @ radiance * level)
     raw = float(layer("error", rectified("error_hidden", code.mean(axis=0)))[0])
     expected_error = np.logaddexp(raw, 0) * level.mean() + SMALLEST_ERROR
-    light: ArrayF64 = projection + added * min(1, MOST_ADDED * expected_error / np.sqrt(np.mean(added**2)))
+    added *= min(1, MOST_ADDED * expected_error / np.sqrt(np.mean(added**2)))
+    unit = BRIGHT_GUESS_LDR * (1 - known.mean()) ** 2 * np.sqrt(np.mean(relative**2))
+    excess = np.sqrt(np.mean((added / level) ** 2)) / unit
+    light: ArrayF64 = projection + added * np.log1p(excess) / excess
     light[0] = np.maximum(light[0], 0)
     return light
 

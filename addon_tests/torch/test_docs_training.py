@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[2]
 TYPED = re.findall(r"^xihe train (.*)$", (ROOT / "docs" / "training.md").read_text(encoding="utf-8"), re.MULTILINE)
 
 
-def test_the_docs_train_and_report():
-    assert {with_step(shlex.split(typed))[0] for typed in TYPED} == {"cache", "train", "report"}
+def test_the_docs_train_report_and_export():
+    assert {with_step(shlex.split(typed))[0] for typed in TYPED} == {"cache", "train", "report", "export"}
 
 
 @pytest.mark.parametrize("typed", TYPED)

@@ -4,15 +4,19 @@ What was seen is projected to coefficients (`xihenet.sh.project_anchors`); a net
 coarser grids and says what radiance that projection lacks in each cell of the second, which an exact quadrature turns
 into coefficients. The result is a light and not 27 loose numbers. Where all was seen, or nothing varies, nothing is
 added: constant light comes out constant, one set anchor gives its colour from everywhere, and none gives black. What is
-added is no larger than twice the error that the network expects of itself. How bright a lamp is can hardly be read off
-a clipped picture, and too bright a guess costs more than too dark a one: in all of the light, the further what is added
-exceeds what was seen, the smaller the part of it that counts.
+added is no larger than twice the error that the network expects of itself.
 
 It is added where nothing was seen and, in all of the light, where anchors are clipped (`opens_clipped`) and have a
 distance. The sky in a window has none; taken for a lamp, it made rooms in daylight too bright. A clipped lamp is white
 in the picture; what surfaces that are not clipped show of it has its colour. So what is added has that, by shades of
 grey: the mean of their fourth powers (Finlayson and Trezzi, Shades of Gray and Colour Constancy, 2004), by which the
 brightest count most.
+
+How bright a lamp is can hardly be read off a clipped picture, nor whether there is one where nobody looked, and too
+bright a guess costs more than too dark a one. So what is guessed of the unseen counts the less the further it exceeds
+what was seen, and that the sooner the less is unseen (`BRIGHT_GUESS`): a few holes do not hold most of the light. In
+all of the light, lamps that were seen count likewise (`BRIGHT_LAMPS`), and a guess counts only where the network is
+sure enough of it: by half where it is `DOUBT` times the error that the network expects, and soon not at all below that.
 
 What must not matter does not, by construction. Each channel is taken relative to its own mean, so that exposure and
 white balance act on the light as on the pictures, unless something is clipped. The layers that see the whole sphere see
@@ -64,7 +68,10 @@ SMALLEST_SHARE = 1e-6
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 SMALLEST_ERROR = 1e-4
 MOST_ADDED = 2.0  # Times its raw expected error, the most that the network adds to the projection, root mean square.
-MUCH_ADDED = 2.5  # Times the projection; in HDR, what is added counts by its logarithm in these units, log(1 + x).
+# A light x counts as log(1 + x), where the unit of x is so many times the projection; for guesses it is that many times
+# the square of the unseen share of the sphere, more in clipped light, whose guesses are smaller.
+BRIGHT_LAMPS, BRIGHT_GUESS, BRIGHT_GUESS_LDR = 4.0, 20.0, 60.0
+DOUBT = 0.3
 WHITE_L00 = float(np.sqrt(4 * np.pi))  # Of light that is 1 from everywhere.
 SQUARED_BAND = np.repeat(np.arange(3.0), [1, 3, 5]) ** 2
 
@@ -244,19 +251,21 @@ class LatticeNetwork:
         gate, error_hidden = self._layers.from_mean_code(code.mean(axis=1))
         raw = self._layers.dense("error", _rectified(error_hidden))[:, 0]
         expected_error = np.logaddexp(raw, 0) * level.mean(axis=0) + SMALLEST_ERROR
-        open_share, unseen = self._open(inputs, known, counted_once, decoder_inputs[-4])
-        added_level = level
+        unseen = 1 - counted_once.sum(axis=1) / np.float32(self.n_anchors)
+        radiance = self._radiance(decoder_inputs, self._spread(code)) * contrast[:, None]
+        guessed, added_level, open_sphere = self._light_of(radiance, 1 - decoder_inputs[-4]), level, unseen
+        lamps = np.zeros_like(guessed)
         if self._opens_clipped:
+            lamp_cells, lamp_sphere = self._lamps(inputs, known, counted_once)
             added_level = _lit_level(linear, counted_once * (1 - inputs[_CLIPPED]), level)
-        unseen *= contrast
-        added = (unseen[:, None] * np.tanh(gate[:, GATE_OF]))[..., None] * projection
-        lacking = self._lacking(decoder_inputs, self._spread(code), open_share) * contrast[:, None]
-        added += lacking.transpose(1, 2, 0) * added_level.T[:, None]
-        size = _size(added)
-        added *= np.minimum(1, MOST_ADDED * expected_error / np.maximum(size, SMALLEST_ERROR))[:, None, None]
-        if self._opens_clipped:
-            added *= _believed(_size(added / level.T[:, None]), _size(relative))[:, None, None]
-        sh_radiance = projection + added
+            lamps = self._light_of(radiance, lamp_cells) * added_level.T[:, None]
+            open_sphere = unseen + lamp_sphere
+        guessed *= added_level.T[:, None]
+        guessed += ((open_sphere * contrast)[:, None] * np.tanh(gate[:, GATE_OF]))[..., None] * projection
+        size = _size(guessed + lamps)
+        kept = np.minimum(1, MOST_ADDED * expected_error / np.maximum(size, SMALLEST_ERROR))[:, None, None]
+        doubt = DOUBT * expected_error / level.mean(axis=0)
+        sh_radiance = projection + self._believed(guessed * kept, lamps * kept, level, doubt, _size(relative), unseen)
         np.maximum(sh_radiance[:, 0], 0, out=sh_radiance[:, 0])
         return sh_radiance.astype(np.float64), expected_error.astype(np.float64)
 
@@ -358,23 +367,39 @@ class LatticeNetwork:
         turned_back = by_cell[:, np.arange(N_TURNS)[:, None], self._turned_back]
         return np.ascontiguousarray(turned_back.mean(axis=1).transpose(2, 0, 1))
 
-    def _open(self, inputs: ArrayF32, known: ArrayF32, counted: ArrayF32, seen: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
-        """What light may be added to: (B, n) of the middle cells, and (B,) of the sphere; `seen` is of the cells."""
-        coverage = counted.sum(axis=1) / np.float32(self.n_anchors)
-        if not self._opens_clipped:
-            return 1 - seen, 1 - coverage
+    def _lamps(self, inputs: ArrayF32, known: ArrayF32, counted: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
+        """The share of clipped anchors with a distance, (B, n) of the middle cells and (B,) of the sphere."""
         lamps = inputs[_CLIPPED] * (inputs[_DISTANCE] < np.float32(np.log(SKY_FROM_M + NEAREST_M)))
-        lamp_share = _product(self._to_fine.sums(known * lamps) / self._to_fine.counts, self._to_middle)
-        lamp_coverage = (counted * lamps).sum(axis=1) / np.float32(self.n_anchors)
-        return 1 - seen + lamp_share, 1 - coverage + lamp_coverage
+        cells = _product(self._to_fine.sums(known * lamps) / self._to_fine.counts, self._to_middle)
+        return cells, (counted * lamps).sum(axis=1) / np.float32(self.n_anchors)
 
-    def _lacking(self, decoder_inputs: ArrayF32, spread: ArrayF32, open_share: ArrayF32) -> ArrayF32:
-        """(3, B, 9) coefficients of what the projection lacks in the open share, relative to each channel's mean."""
-        _, n_clouds, n = decoder_inputs.shape
-        hidden = self._layers.placed("decoder", np.concatenate([decoder_inputs, spread]))
-        radiance = self._layers.radiance(hidden)
-        radiance *= open_share
-        return _product(radiance.reshape(3 * n_clouds, n), self._quadrature).reshape(3, n_clouds, N_SH)
+    def _believed(
+        self, guessed: ArrayF32, lamps: ArrayF32, level: ArrayF32, doubt: ArrayF32, seen: ArrayF32, unseen: ArrayF32
+    ) -> ArrayF32:
+        """(B, 9, 3) what counts of both; `doubt` and `seen` (B,) are sizes, `unseen` (B,) is a share of the sphere.
+
+        Sizes are relative to the means of the channels, on which white balance acts.
+        """
+        relative_to, bright = level.T[:, None], BRIGHT_GUESS_LDR
+        if self._opens_clipped:
+            bright = BRIGHT_GUESS
+            lamps = lamps * _logarithmic(_size(lamps / relative_to), BRIGHT_LAMPS * seen)[:, None, None]
+            certain = _size(guessed / relative_to) / doubt
+            guessed = guessed * (certain**4 / (certain**4 + 1))[:, None, None]
+        counted = _logarithmic(_size(guessed / relative_to), bright * seen * unseen**2)
+        believed: ArrayF32 = guessed * counted[:, None, None] + lamps
+        return believed
+
+    def _radiance(self, decoder_inputs: ArrayF32, spread: ArrayF32) -> ArrayF32:
+        """(3, B, n) that the projection lacks in the middle cells, relative to each channel's mean."""
+        return self._layers.radiance(self._layers.placed("decoder", np.concatenate([decoder_inputs, spread])))
+
+    def _light_of(self, radiance: ArrayF32, share: ArrayF32) -> ArrayF32:
+        """(B, 9, 3) coefficients of the radiance (3, B, n) in shares (B, n) of the middle cells."""
+        n_clouds, n = share.shape
+        coefficients = _product((radiance * share).reshape(3 * n_clouds, n), self._quadrature)
+        light: ArrayF32 = coefficients.reshape(3, n_clouds, N_SH).transpose(1, 2, 0)
+        return light
 
 
 class _Folded:
@@ -469,9 +494,9 @@ def _size(light: ArrayF32) -> ArrayF32:
     return cast(ArrayF32, np.sqrt(np.mean(np.square(light), axis=(1, 2))))
 
 
-def _believed(size: ArrayF32, projection_size: ArrayF32) -> ArrayF32:
-    """(B,) the share of what is added that counts; both sizes relative to the channels' means."""
-    in_units = np.maximum(size / np.maximum(MUCH_ADDED * projection_size, SMALLEST_ERROR), SMALLEST_ERROR)
+def _logarithmic(size: ArrayF32, unit: ArrayF32) -> ArrayF32:
+    """(B,) the share that counts of a light of that size, by its logarithm in units (B,) of another."""
+    in_units = np.maximum(size / np.maximum(unit, SMALLEST_ERROR), SMALLEST_ERROR)
     return cast(ArrayF32, np.log1p(in_units) / in_units)
 
 

@@ -19,11 +19,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from xihenet.estimators.lattice import (
+    BRIGHT_GUESS,
+    BRIGHT_GUESS_LDR,
+    BRIGHT_LAMPS,
     CLIPPED_FROM,
     CONTRAST_SCALE,
+    DOUBT,
     FARTHEST_M,
     MOST_ADDED,
-    MUCH_ADDED,
     NEAREST_M,
     SKY_FROM_M,
     SMALLEST_ERROR,
@@ -51,7 +54,7 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
 
     `forward(srgb (B, N, 3), distance_m (B, N), is_set (B, N), facing (B, N) or None)` gives (B, 9, 3) coefficients and
     (B,) expected errors; N may differ from call to call. Anchors that are not set must be 0. The expected error sends
-    no gradient into the layers that make the light. While it trains, all that it adds counts (`MUCH_ADDED`).
+    no gradient into the layers that make the light. While it trains, all that it adds counts, bright or doubtful.
     """
 
     def __init__(self, architecture: LatticeArchitecture | None = None) -> None:
@@ -93,22 +96,34 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         mean_code = code.mean(1)
         raw = self.layer("error")(torch.relu(self.layer("error_hidden")(mean_code.detach())))[:, 0]
         expected_error = nn.functional.softplus(raw) * level.mean((1, 2)) + SMALLEST_ERROR
-        open_anchors, added_level = 1 - known, level
+        lamp_anchors, added_level = torch.zeros_like(known), level
         if self.architecture.opens_clipped:
-            open_anchors = open_anchors + known * clipped * (distance_m < SKY_FROM_M).float()
+            lamp_anchors = known * clipped * (distance_m < SKY_FROM_M).float()
             added_level = self._lit_level(linear, known * (1 - clipped), level)
-        unseen = contrast * open_anchors.mean(1)
-        gate = unseen[:, None] * torch.tanh(self.layer("gate")(mean_code)[:, GATE_OF])
-        radiance = self._radiance(middle, aside, code, self._share(open_anchors)) * contrast[:, None, None]
-        added = gate[..., None] * projection + (self._constant("quadrature", 0, srgb.device) @ radiance) * added_level
-        size = _size(added)
-        added = added * (MOST_ADDED * expected_error.detach() / size).clamp(max=1)[:, None, None]
-        if self.architecture.opens_clipped and not self.training:
-            unit = (MUCH_ADDED * _size(relative)).clamp(min=SMALLEST_ERROR)
-            in_units = (_size(added / level) / unit).clamp(min=SMALLEST_ERROR)
-            added = added * (torch.log1p(in_units) / in_units)[:, None, None]
-        sh_radiance = projection + added
+        open_sphere = contrast * (1 - known + lamp_anchors).mean(1)
+        gate = open_sphere[:, None] * torch.tanh(self.layer("gate")(mean_code)[:, GATE_OF])
+        radiance = self._radiance(middle, aside, code) * contrast[:, None, None]
+        to_light = self._constant("quadrature", 0, srgb.device)
+        lamps = (to_light @ (radiance * self._share(lamp_anchors))) * added_level
+        guessed = gate[..., None] * projection + (to_light @ (radiance * self._share(1 - known))) * added_level
+        kept = (MOST_ADDED * expected_error.detach() / _size(guessed + lamps)).clamp(max=1)[:, None, None]
+        guessed, lamps = guessed * kept, lamps * kept
+        if not self.training:
+            guessed, lamps = self._believed(guessed, lamps, expected_error, level, relative, 1 - known.mean(1))
+        sh_radiance = projection + guessed + lamps
         return torch.cat([sh_radiance[:, :1].clamp(min=0), sh_radiance[:, 1:]], 1), expected_error
+
+    def _believed(
+        self, guessed: Tensor, lamps: Tensor, expected_error: Tensor, level: Tensor, relative: Tensor, unseen: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """What counts of both (B, 9, 3); `unseen` (B,) is a share of the sphere."""
+        seen, bright = _size(relative), BRIGHT_GUESS_LDR
+        if self.architecture.opens_clipped:
+            bright = BRIGHT_GUESS
+            lamps = lamps * _logarithmic(_size(lamps / level), BRIGHT_LAMPS * seen)
+            certain = _size(guessed / level) / (DOUBT * expected_error / level.mean((1, 2)))
+            guessed = guessed * (certain**4 / (certain**4 + 1))[:, None, None]
+        return guessed * _logarithmic(_size(guessed / level), bright * seen * unseen**2), lamps
 
     def _lit_level(self, linear: Tensor, unclipped: Tensor, level: Tensor) -> Tensor:
         """(B, 1, 3) as bright as `level` (B, 1, 3), in the colour of the light that the unclipped surfaces show."""
@@ -177,14 +192,14 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         fine = fine / self._constant("counts", n, device)
         return (fine @ self._constant("matrix 2", 0, device))[..., None]
 
-    def _radiance(self, middle: Tensor, aside: Tensor, code: Tensor, open_share: Tensor) -> Tensor:
-        """(B, n, 3) what the projection lacks in the open part of the middle cells, relative to channel means."""
+    def _radiance(self, middle: Tensor, aside: Tensor, code: Tensor) -> Tensor:
+        """(B, n, 3) what the projection lacks in the middle cells, relative to channel means."""
         n = middle.shape[1]
         spread = self.layer("spread")(code).reshape(len(code), N_TURNS, n, -1)
         turned_back = self._constant("turned back", 0, code.device)[None, ..., None]
         spread = spread.gather(2, turned_back.expand(len(code), -1, -1, spread.shape[3])).mean(1)
         hidden = self.layer("decoder")(torch.cat([middle, spread, aside], 2))
-        return cast(Tensor, self.layer("radiance")(torch.relu(hidden)) * open_share)
+        return cast(Tensor, self.layer("radiance")(torch.relu(hidden)))
 
     def _constant(self, name: str, n: int, device: torch.device) -> Tensor:
         """A table as a tensor, kept per device; no part of the state. `n` is the number of anchors, 0 for no matter."""
@@ -222,6 +237,12 @@ def _contrast(relative: Tensor, n_set: Tensor) -> Tensor:
     """(B,) 0 where all that was seen is alike, near 1 for any real picture."""
     variance = relative.square().sum((1, 2)) / (3 * n_set)
     return variance / (variance + CONTRAST_SCALE**2)
+
+
+def _logarithmic(size: Tensor, unit: Tensor) -> Tensor:
+    """(B, 1, 1) the share that counts of a light of that size (B,), by its logarithm in units (B,) of another."""
+    in_units = (size / unit.clamp(min=SMALLEST_ERROR)).clamp(min=SMALLEST_ERROR)
+    return (torch.log1p(in_units) / in_units)[:, None, None]
 
 
 def _size(light: Tensor) -> Tensor:

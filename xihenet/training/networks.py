@@ -125,19 +125,22 @@ def save_network(path: Path, trained: TrainedNetwork) -> None:
 
 
 def load_network(path: Path, device: str = "cpu") -> TrainedNetwork:
-    """Read what `save_network` wrote, or weights of `lattice` (.npz); ValueError naming the file if it is neither."""
+    """Read what `save_network` wrote, or weights of `lattice` (.npz), to estimate with: in evaluation mode.
+
+    ValueError naming the file if it is neither.
+    """
     if path.suffix == ".npz":
         stored = load_weights(path)
         lattice = make_network("lattice", **asdict(stored.architecture)).to(device)
         take_weights(lattice, path)
-        return TrainedNetwork("lattice", stored.target, stored.seed or 0, lattice)
+        return TrainedNetwork("lattice", stored.target, stored.seed or 0, lattice.eval())
     content = read_torch(path, device)
     try:
         net = make_network(content["estimator"], **content["architecture"]).to(device)
         net.load_state_dict(content["weights"])
     except (KeyError, TypeError, RuntimeError) as error:
         raise ValueError(f"{path}: expected a trained network of this version ({error})") from None
-    return TrainedNetwork(content["estimator"], content["target"], content["seed"], net)
+    return TrainedNetwork(content["estimator"], content["target"], content["seed"], net.eval())
 
 
 def write_torch(path: Path, content: Mapping[str, object]) -> None:
