@@ -83,8 +83,11 @@ bench: $(VENV)/installed
 scenes: $(VENV)/installed
 	$(BIN)/xihe scenes build
 
-# The weights of `lattice` from nothing, and their figures on test rooms. Stopped, the same command goes on.
+# The weights of `lattice` from nothing, and their figures on test rooms. Stopped, the same command goes on. Torch, which only
+# training needs, is asked for before hours of rooms.
+weights: EXTRAS = test,train
 weights: $(VENV)/installed
+	@$(BIN)/python -c "import torch" || { echo "Training needs torch: $(BIN)/python -m pip install -e '.[blender,exr,train]'"; exit 1; }
 	$(BIN)/xihe dataset build --rooms $(ROOMS) --seed 0 --split train --out $(WEIGHTS)/rooms
 	$(BIN)/xihe dataset build --rooms $(ROOMS_BY_DAY) --seed 1 --split train --by-day 1 --out $(WEIGHTS)/rooms_by_day
 	$(BIN)/xihe dataset build --rooms $(VARIED_ROOMS) --seed 5 --split train --varied 1 --out $(WEIGHTS)/varied_rooms
@@ -95,7 +98,7 @@ weights: $(VENV)/installed
 			--data $(WEIGHTS)/rooms_by_day $(WEIGHTS)/rooms $(WEIGHTS)/varied_rooms \
 			--changes 2 --merged-clouds 5 --epochs 8 --batch-size 128 --learning-rate 0.003 --logarithmic-loss; \
 		$(BIN)/xihe train export $(WEIGHTS)/trained/lattice_$${target}_0/best.pt $(WEIGHTS)/lattice_$$target.npz \
-			--clouds $(WEIGHTS)/trained/clouds_sphere_1280 $(if $(ELSEWHERE),--elsewhere $(ELSEWHERE)); \
+			$(if $(ELSEWHERE),--elsewhere $(ELSEWHERE),--clouds $(WEIGHTS)/trained/clouds_sphere_1280); \
 		$(BIN)/xihe train --report --clouds $(WEIGHTS)/trained/clouds_sphere_1280 --target $$target \
 			--network lattice=$(WEIGHTS)/trained/lattice_$${target}_0/best.pt --markdown $(WEIGHTS)/figures_$$target.md; \
 	done

@@ -132,7 +132,7 @@ def load_network(path: Path, device: str = "cpu") -> TrainedNetwork:
     if path.suffix == ".npz":
         stored = load_weights(path)
         lattice = make_network("lattice", **asdict(stored.architecture)).to(device)
-        take_weights(lattice, path)
+        lattice.load_state_dict({name: torch.from_numpy(array) for name, array in stored.arrays.items()})
         return TrainedNetwork("lattice", stored.target, stored.seed or 0, lattice.eval())
     content = read_torch(path, device)
     try:
