@@ -17,7 +17,17 @@ import numpy as np
 from xihenet.camera import unproject_frame
 from xihenet.codec import decode_cloud, encode_cloud
 from xihenet.colour import srgb_to_linear
-from xihenet.estimators.lattice import (
+from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.lattice_format import (
+    GATE_OF,
+    LEVELS,
+    LatticeWeights,
+    load_weights,
+    pooling_matrix,
+    pooling_table,
+    quadrature_matrix,
+)
+from xihenet.estimators.lattice_network import (
     BRIGHT_GUESS_LDR,
     CLIPPED_FROM,
     CONTRAST_SCALE,
@@ -27,17 +37,7 @@ from xihenet.estimators.lattice import (
     SMALLEST_ERROR,
     SMALLEST_MEAN,
     SMALLEST_SHARE,
-    Lattice,
     _linear,
-)
-from xihenet.estimators.lattice_format import (
-    GATE_OF,
-    LEVELS,
-    LatticeWeights,
-    load_weights,
-    pooling_matrix,
-    pooling_table,
-    quadrature_matrix,
 )
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.metrics import shc_rmse

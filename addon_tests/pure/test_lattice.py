@@ -9,7 +9,7 @@ from xihenet.colour import linear_to_srgb
 from xihenet.estimators import weights_format
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import EstimateContext
-from xihenet.estimators.lattice import Lattice, LatticeNetwork
+from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import (
     LEVELS,
     LatticeArchitecture,
@@ -20,6 +20,7 @@ from xihenet.estimators.lattice_format import (
     quadrature_matrix,
     slot_order,
 )
+from xihenet.estimators.lattice_network import LatticeNetwork
 from xihenet.estimators.projection import Projection
 from xihenet.estimators.weights_format import save_weights
 from xihenet.npz_files import read_npz

@@ -1,7 +1,7 @@
 """The lattice network in torch: what is trained, and what runs on a GPU.
 
-`xihenet.estimators.lattice` runs the same network in NumPy and explains it; the two share tables and constants, and a
-test holds them within 1e-5. Here each layer is one `Linear` under the name that the weights file uses, with the
+`xihenet.estimators.lattice_network` runs the same network in NumPy and explains it; the two share tables and constants,
+and a test holds them within 1e-5. Here each layer is one `Linear` under the name that the weights file uses, with the
 heights among its inputs: plain, where the NumPy side is fast.
 
 Rejected: attention over the anchors (slower in NumPy by a magnitude) and 27 numbers straight from a dense layer, which
@@ -18,7 +18,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from xihenet.estimators.lattice import (
+from xihenet.estimators.lattice_format import (
+    GATE_OF,
+    LEVELS,
+    N_SH,
+    LatticeArchitecture,
+    basis_products,
+    place_tables,
+    pooling_matrix,
+    pooling_table,
+    quadrature_matrix,
+)
+from xihenet.estimators.lattice_network import (
     BRIGHT_GUESS,
     BRIGHT_GUESS_LDR,
     BRIGHT_LAMPS,
@@ -33,17 +44,6 @@ from xihenet.estimators.lattice import (
     SMALLEST_MEAN,
     SMALLEST_SHARE,
     SQUARED_BAND,
-)
-from xihenet.estimators.lattice_format import (
-    GATE_OF,
-    LEVELS,
-    N_SH,
-    LatticeArchitecture,
-    basis_products,
-    place_tables,
-    pooling_matrix,
-    pooling_table,
-    quadrature_matrix,
 )
 from xihenet.ring_grid import N_TURNS, ring_grid, turns_of_light
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
