@@ -9,7 +9,7 @@ from tiny_scenes import add, add_instance, box, empty_scene
 
 from xihe_blender.errors import UserError
 from xihe_blender.scene.estimation_positions import MAX_POSITIONS, box_cell_centres, estimation_positions
-from xihe_blender.scene.sphere_rig import add_three_sphere_rig
+from xihe_blender.scene.sphere_rig import add_three_sphere_rig, sphere_mesh
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
 
 
@@ -190,3 +190,18 @@ def test_a_second_rig_shares_the_materials(scene):
 def test_a_useless_radius_is_refused(scene, radius_m):
     with pytest.raises(ValueError, match="radius_m must be positive"):
         add_three_sphere_rig(scene, (0, 0, 0), radius_m)
+
+
+@pytest.mark.parametrize(("n_around", "n_up"), [(3, 2), (4, 3), (64, 32)])
+def test_a_sphere_made_of_arrays_is_that_made_face_by_face(n_around, n_up):
+    made = sphere_mesh("made", 0.3, n_around, n_up)
+    assert not made.validate()
+    plain = bpy.data.meshes.new("plain")
+    plain.from_pydata([v.co for v in made.vertices], [], [tuple(face.vertices) for face in made.polygons])
+    plain.shade_smooth()
+    for of in (lambda m: [v.normal[:] for v in m.vertices], lambda m: {e.key for e in m.edges}):
+        assert of(made) == of(plain)
+    assert len(made.vertices) - len(made.edges) + len(made.polygons) == 2
+    for face in made.polygons:
+        assert face.use_smooth and face.normal.dot(face.center) > 0
+        assert all(made.vertices[i].co.length == pytest.approx(0.3) for i in face.vertices)

@@ -188,7 +188,7 @@ class BadServer:
                 self.requests.append(connection.recv(65536))
                 answer = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
                 if answer is None:
-                    time.sleep(0.5)
+                    time.sleep(1.5)
                 else:
                     connection.sendall(answer)
 
@@ -221,7 +221,7 @@ LIGHT = answer_of(200, {"ok": True, "coefficients": [0.5] * 27, "exposure": 1, "
 )
 def test_what_may_pass_is_tried_again(bad):
     with contextlib.closing(BadServer(OPENED, bad, LIGHT)) as server:
-        backend = EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=Patience(0.3, 3, 0.01))
+        backend = EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=Patience(1.0, 3, 0.01))
         assert backend.estimate(random_cloud(np.random.default_rng(4), N))[0, 0] == 0.5
         assert backend.connection.n_retries == 1 and backend.n_answered == 1
 
@@ -231,6 +231,12 @@ def test_what_will_not_pass_is_said_at_once():
         with pytest.raises(EdgeRefused, match="bearer token"):
             EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=QUICK)
         assert len(server.requests) == 1
+
+
+def test_another_kind_of_service_is_said():
+    refused = pytest.raises(EdgeRefused, match="is no edge service: its answer has no estimator")
+    with contextlib.closing(BadServer(answer_of(200, {"status": "up"}))) as server, refused:
+        EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=QUICK)
 
 
 @pytest.mark.parametrize("url", ["127.0.0.1:8550", "ftp://a", "http://", "http://a/b", "http://a:b", "http://[1", ""])

@@ -203,6 +203,9 @@ class EdgeBackend:
     def _open(self) -> dict[str, str]:
         wanted = json.dumps({"n_anchors": self.n_anchors, "target": self.target, "joinable": False}).encode()
         answer = self.connection.ask("POST", protocol.SESSIONS, wanted, {"Content-Type": "application/json"})
+        missing = [name for name in ("estimator", "farthest_m", "session", "token") if name not in answer]
+        if missing:
+            raise EdgeRefused(f"{self.connection.url} is no edge service: its answer has no {missing[0]}")
         if self.name not in ("", answer["estimator"]):
             raise EdgeRefused(
                 f"the server at {self.connection.url} came back with {answer['estimator']} in place of {self.name}"
