@@ -10,6 +10,9 @@ OUT ?= out
 # How long `make fuzz` searches.
 MINUTES ?= 60
 
+# Dozens of processes import the same modules in the tests: they are compiled once.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Of `make weights`: how many rooms are numbered, of which four in five are for training, and among how many the rooms to choose
 # the epoch and to test are. Sampled clouds of rooms of another kind set the expected error: ELSEWHERE="FOLDER FOLDER".
 WEIGHTS ?= out/weights
@@ -56,8 +59,9 @@ test-blender: $(TEST_PACKAGES)/installed
 		--python addon_tests/run_in_blender.py -- $(PYTEST_ARGUMENTS)
 
 # The file with windows, which takes longest, begins first; what measures freezes is at its end, when it is alone.
+# One process more than cores: each often waits for its window.
 test-extension: $(VENV)/installed
-	XIHE_BLENDER="$(BLENDER)" $(BIN)/python -m pytest -n 2 --dist loadfile addon_tests/real_blender
+	XIHE_BLENDER="$(BLENDER)" $(BIN)/python -m pytest -n 3 --dist loadfile addon_tests/real_blender
 
 package: $(VENV)/installed
 	$(BIN)/xihe package --out $(OUT)

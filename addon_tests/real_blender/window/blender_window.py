@@ -23,6 +23,8 @@ HARMLESS = re.compile(
     r"MESA|sync required",
     re.IGNORECASE,
 )
+LONGEST_FREEZE_S = 0.6
+"""Beside one plain draw of the window, which takes 0.1 s with OpenGL in software: twice what a quiet machine shows."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,13 @@ def run_in_window(
     code, console = _run(command, timeout_s)
     facts = out / "facts.json"
     return WindowRun(code, console, json.loads(facts.read_text()) if facts.exists() else {}, out)
+
+
+def played(scenario: str, out: Path, **options: Any) -> WindowRun:
+    """What a scenario saw that came to its end without an error."""
+    seen = run_in_window(scenario, out, **options)
+    assert (seen.code, seen.complaints) == (0, []), seen.console
+    return seen
 
 
 def _run(command: list[str], timeout_s: float) -> tuple[int, str]:
