@@ -213,9 +213,18 @@ def _slope_by_quantiles(log_ratios: ArrayF64, coverage: ArrayF64, weights: Array
 def _lowest(of: Callable[[float], float], low: float, high: float) -> float:
     """Where a convex function is lowest, by golden section."""
     golden = (np.sqrt(5) - 1) / 2
+    a, b = high - golden * (high - low), low + golden * (high - low)
+    of_a, of_b = of(a), of(b)
     for _ in range(_N_STEPS):
-        a, b = high - golden * (high - low), low + golden * (high - low)
-        low, high = (low, b) if of(a) < of(b) else (a, high)
+        # Of the two places within, one is also within what is left: it is not asked again.
+        if of_a < of_b:
+            high, b, of_b = b, a, of_a
+            a = high - golden * (high - low)
+            of_a = of(a)
+        else:
+            low, a, of_a = a, b, of_b
+            b = low + golden * (high - low)
+            of_b = of(b)
     return float((low + high) / 2)
 
 
