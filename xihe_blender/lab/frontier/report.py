@@ -5,7 +5,8 @@ Made from frontier.json alone. First picture: rendering and computing together, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from xihe_blender.lab.frontier.points import CHOICES, family, format_choice, format_dominated, group, groups
@@ -161,9 +162,13 @@ def pareto_plot(points: Sequence[FrontierPoint], title: str, about: str) -> str:
     times, heights = log_axis([p.time_ms for p in points], format_milliseconds), log_axis(errors, _percent)
     unnamed = sorted((p for p in points if p.on_front and p.preset is None), key=lambda p: p.time_ms)
     numbers = {p.label: number for number, p in enumerate(unnamed, start=1)}
+    places = [(_x(times, p.time_ms), _y(heights, p.error)) for p in unnamed]
+    # Two numbers in one place could not be read: the first of them stands above its mark.
+    pairs = zip(unnamed[:-1], pairwise(places), strict=True)
+    crowded = {p.label for p, ((x, y), (next_x, next_y)) in pairs if next_x - x < 2 and next_y - y < 12}
     # What is nearest to the reader is drawn last.
     ordered = sorted(points, key=lambda p: (p.preset is not None, p.on_front))
-    marks = "".join(_mark(times, heights, p, numbers) for p in ordered)
+    marks = "".join(_mark(times, heights, p, numbers, crowded) for p in ordered)
     zero = f'<text class="tick-y" x="-8" y="{FOOT_PX - 8}">0</text>' if len(errors) < len(points) else ""
     grid = svg.grid_across(heights, HEIGHT_PX) + svg.axis_of(times, ACROSS, FOOT_PX, grid=True) + zero
     body = f"{grid}{svg.straight(0, FOOT_PX, 100, FOOT_PX, 'base')}{_front_line(times, heights, points)}{marks}"
@@ -192,7 +197,7 @@ def _front_line(times: Axis, errors: Axis, points: Sequence[FrontierPoint]) -> s
     return svg.line([*steps, (100.0, steps[-1][1])] if steps else [], "s0", FOOT_PX)
 
 
-def _mark(times: Axis, errors: Axis, point: FrontierPoint, numbers: Mapping[str, int]) -> str:
+def _mark(times: Axis, errors: Axis, point: FrontierPoint, numbers: Mapping[str, int], crowded: Collection[str]) -> str:
     x, y = _x(times, point.time_ms), _y(errors, point.error)
     kind, shape, name = "front" if point.on_front else "aside", "circle", ""
     if point.preset is not None:
@@ -200,7 +205,8 @@ def _mark(times: Axis, errors: Axis, point: FrontierPoint, numbers: Mapping[str,
         side, shift = ("end", -11) if x > 88 else ("start", 11)
         name = f'<text class="preset-name" x="{shift}" y="-9" text-anchor="{side}">{escape(point.preset)}</text>'
     elif point.on_front:
-        name = f'<text class="number" x="-6" y="14" text-anchor="end">{numbers[point.label]}</text>'
+        below = -7 if point.label in crowded else 14
+        name = f'<text class="number" x="-6" y="{below}" text-anchor="end">{numbers[point.label]}</text>'
     # From quartile to quartile, as far as is known: the spread, half of it to either side.
     low, high = (_x(times, max(1e-9, point.time_ms + side * point.spread_ms / 2)) for side in (-1, 1))
     whiskers = svg.straight(low, y, high, y, "whisker")
