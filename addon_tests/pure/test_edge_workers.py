@@ -119,7 +119,6 @@ def test_a_store_that_is_killed_is_said_and_sessions_go_on_once_it_is_back(two, 
     assert status == 200 and answer["coverage"] == (first.is_set | second.is_set).mean()
 
 
-@pytest.mark.slow
 def test_workers_share_a_port_and_one_that_dies_is_started_anew(redis_server):
     command = [sys.executable, "-m", "xihe_blender", "serve", "--estimator", "projection", "--port", "0"]
     command += ["--workers", "2", "--store", redis_server.url]

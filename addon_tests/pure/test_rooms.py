@@ -36,7 +36,6 @@ def room(request: pytest.FixtureRequest) -> Room:
     return (usual_rooms() + varied_rooms())[request.param]
 
 
-@pytest.mark.slow
 def test_a_room_is_the_same_when_it_is_drawn_again_and_differs_from_others():
     assert [sample_room(room_generator(7, i)) for i in range(20)] == usual_rooms()[:20]
     assert [sample_varied_room(room_generator(8, i)) for i in range(5)] == varied_rooms()[:5]
