@@ -9,6 +9,8 @@ import torch
 from addon_tests.pure.test_lattice import nasty_clouds, random_clouds
 from xihenet.colour import srgb_to_linear
 from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.lattice_format import load_weights
+from xihenet.estimators.lattice_network import LatticeNetwork
 from xihenet.estimators.pointconv_network import PointConvArchitecture
 from xihenet.estimators.weights_format import save_weights
 from xihenet.nets.lattice import LatticeNet
@@ -46,11 +48,12 @@ def test_numpy_gives_what_torch_gives(tmp_path, n, target):
     save_weights(tmp_path / "w.npz", weights_of(net, target))
     parts = clouds(n, seed=n)
     estimator, lights = Lattice(n, target, weights=tmp_path / "w.npz"), []
+    network = LatticeNetwork(load_weights(tmp_path / "w.npz"), n)
     for facing in (None, np.random.default_rng(n).uniform(-1, 1, parts[2].shape).astype(np.float32)):
         with torch.no_grad():
             given = (*parts, facing) if facing is not None else parts
             light, expected_error = net(*map(torch.from_numpy, given))
-        in_numpy, error_in_numpy = estimator.estimate_batch_with_error(*parts, facing=facing)
+        in_numpy, error_in_numpy = estimator.estimate_batch(*parts, facing=facing), network.run(*parts, facing)[1]
         np.testing.assert_allclose(in_numpy, light.numpy(), atol=1e-5)
         np.testing.assert_allclose(error_in_numpy, expected_error.numpy(), atol=1e-5)
         lights.append(in_numpy)

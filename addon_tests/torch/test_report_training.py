@@ -367,8 +367,10 @@ def test_a_calibration_goes_through_the_header_of_a_weights_file():
     found = Calibration(1.2, 0.8, -0.5, (0.9, 1.1, 1.7))
     assert Calibration.from_figures(json.loads(json.dumps(found.as_figures()))) == found
     np.testing.assert_allclose(Calibration.from_figures({}).expected([0.1, 0.2], 0.3), [0.1, 0.2])
-    with pytest.raises(ValueError, match="error_scale"):
-        Calibration.from_figures({"error_scale": [1.0, 1.0]})
+    with pytest.raises(ValueError, match="expected error_law"):
+        Calibration.from_figures({"error_law": [1.0, 1.0]})
+    with pytest.raises(ValueError, match="run `xihe train export` on it again"):
+        Calibration.from_figures({"error_scale": [1.0, 1.0, 0.0]})
 
 
 def test_a_network_is_calibrated_for_its_weights_as_the_report_says(folders, networks, report):

@@ -1,7 +1,8 @@
 """What turns a network's raw expected error into one that can be believed?
 
-A power law and what was seen of the sphere, three numbers kept in the weights file, and multiples of the expected error
-that hold a share of the clouds. `xihenet.training.calibration` fits them to the validation rooms and says why.
+A mean of it and of the size of the light; a power law of that and what was seen of the sphere, three numbers kept
+in the weights file; and multiples of the expected error that hold a share of the clouds. `xihenet.training.calibration`
+fits them and says why.
 """
 
 from __future__ import annotations
@@ -19,11 +20,24 @@ SHARES_ASKED = (0.5, 0.68, 0.9)
 STEEPEST = 3.0
 STEEPEST_IN_COVERAGE = 5.0
 SMALLEST_RAW = 1e-6
+OF_SIZE = 0.75
+
+
+def raw_error(own_word: ArrayLike, sh_radiance: ArrayLike) -> ArrayF64:
+    """(M,) what is calibrated, of the error that a network expects of itself (M,) and its lights (M, 9, 3).
+
+    A geometric mean of the error and, with a weight of `OF_SIZE`, the root mean square of the light. What a network
+    expects is of all that it guessed, of which the estimator believes a part (`lattice_network`); a light is seldom
+    more wrong than it is bright. Both scale with the exposure. 0 for black light.
+    """
+    size = np.sqrt(np.mean(np.square(np.asarray(sh_radiance, np.float64)), axis=(1, 2)))
+    raw: ArrayF64 = np.asarray(own_word, np.float64) ** (1 - OF_SIZE) * size**OF_SIZE
+    return raw
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Expected SHC RMSE = factor x raw^power x exp(slope x coverage)."""
+    """Expected SHC RMSE = factor x raw^power x exp(slope x coverage), of a `raw_error`."""
 
     factor: float
     power: float
@@ -46,18 +60,20 @@ class Calibration:
         return errors
 
     def as_figures(self) -> dict[str, Any]:
-        """What a weights file keeps in its header: `error_scale` and `error_quantiles`."""
+        """What a weights file keeps in its header: `error_law` and `error_quantiles`."""
         quantiles = {f"{share:.2f}": multiple for share, multiple in zip(SHARES_ASKED, self.quantiles, strict=True)}
-        return {"error_scale": [self.factor, self.power, self.slope], "error_quantiles": quantiles}
+        return {"error_law": [self.factor, self.power, self.slope], "error_quantiles": quantiles}
 
     @classmethod
     def from_figures(cls, figures: Mapping[str, Any]) -> Calibration:
         """What `as_figures` wrote; without it, raw errors stay as they are. ValueError for anything else."""
-        if "error_scale" not in figures:
+        if "error_scale" in figures:
+            raise ValueError("figures: calibrated before the light's size counted; run `xihe train export` on it again")
+        if "error_law" not in figures:
             return cls(1.0, 1.0, 0.0, tuple(-np.log1p(-np.array(SHARES_ASKED))))
         try:
-            factor, power, slope = map(float, figures["error_scale"])
+            factor, power, slope = map(float, figures["error_law"])
             quantiles = tuple(float(figures["error_quantiles"][f"{share:.2f}"]) for share in SHARES_ASKED)
             return cls(factor, power, slope, quantiles)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise ValueError(f"figures: expected error_scale and error_quantiles ({error})") from None
+            raise ValueError(f"figures: expected error_law and error_quantiles ({error})") from None

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from xihenet.estimators.ambient import Ambient
 from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
-from xihenet.estimators.calibration import Calibration
+from xihenet.estimators.calibration import Calibration, raw_error
 from xihenet.estimators.lattice_format import load_weights
 from xihenet.estimators.lattice_network import FARTHEST_M, LatticeNetwork
 from xihenet.estimators.weights_format import loaded_for
@@ -52,11 +52,11 @@ class Lattice(Estimator):
         """With a frame in the context, a cloud of which next to nothing is set leans on the phone's sensor."""
         self._check_size(cloud)
         facing = None if cloud.surfaces is None else cloud.surfaces.facing[None]
-        light, raw_error = self._run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
+        light, raw = self._run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
         coverage = cloud.is_set.mean(keepdims=True)
         if context is not None and context.frame is not None:
             light = lean_on_sensor(light, coverage, self.sensed(cloud, context)[None])
-        return self._checked(light[0]), float(self._calibration.expected(raw_error, coverage)[0])
+        return self._checked(light[0]), float(self._calibration.expected(raw, coverage)[0])
 
     def sensed(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         """(9, 3) that a cloud of which next to nothing is set leans on: the phone's sensor, or the anchors' mean."""
@@ -74,24 +74,23 @@ class Lattice(Estimator):
         """As `estimate_batch`, and (B,) the SHC RMSE expected of each."""
         colours, distances, known = self._checked_batch(srgb, distance_m, is_set)
         turned = None if facing is None else self._checked_facing(facing, len(known))
-        sh_radiance, expected_error = np.empty((len(known), 9, 3)), np.empty(len(known))
+        sh_radiance, raw = np.empty((len(known), 9, 3)), np.empty(len(known))
         for start in range(0, len(sh_radiance), _CLOUDS_AT_ONCE):
             block = slice(start, start + _CLOUDS_AT_ONCE)
             of_block = None if turned is None else turned[block]
-            light, error = self._run(colours[block], distances[block], known[block], of_block)
-            sh_radiance[block], expected_error[block] = light, error
+            sh_radiance[block], raw[block] = self._run(colours[block], distances[block], known[block], of_block)
         if not np.isfinite(sh_radiance).all():
             raise NotFinite("lattice: an estimate is not finite; refusing to pass it on")
-        return sh_radiance, self._calibration.expected(expected_error, known.mean(axis=1))
+        return sh_radiance, self._calibration.expected(raw, known.mean(axis=1))
 
     def _run(
         self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, facing: ArrayF32 | None
     ) -> tuple[ArrayF64, ArrayF64]:
-        """What the network says, (B, 9, 3) and (B,); the mean of clipped light is no brighter than white."""
-        light, raw_error = self._network.run(srgb, distance_m, is_set, facing)
+        """Lights (B, 9, 3) and raw errors (B,); the mean of clipped light is no brighter than white."""
+        light, own_word = self._network.run(srgb, distance_m, is_set, facing)
         if self.target == "ldr":
             np.minimum(light[:, 0], WHITE_L00, out=light[:, 0])
-        return light, raw_error
+        return light, raw_error(own_word, light)
 
     def _checked_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike

@@ -25,6 +25,7 @@ import numpy as np
 from torch import nn
 
 from xihenet.estimators.base import Target
+from xihenet.estimators.calibration import raw_error
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt
 from xihenet.training.baselines import Baselines
 from xihenet.training.dataset import CloudSet, open_split, read_cache
@@ -153,8 +154,8 @@ class NetworkSeeds:
         predictions = []
         for net in self.nets:
             light, error = predict(net, clouds, self.target, self.device)
-            raw_error = None if error is None else error.astype(np.float64)
-            predictions.append(Prediction(cases, self.target, light.astype(np.float64), raw_error))
+            raw = None if error is None else raw_error(error, light)
+            predictions.append(Prediction(cases, self.target, light.astype(np.float64), raw))
         return predictions
 
 
