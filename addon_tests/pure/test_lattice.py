@@ -158,12 +158,12 @@ def test_what_is_added_is_at_most_twice_the_error_that_is_expected(tmp_path):
     weights.arrays["error.bias"][:] = -3  # much smaller than what was seen, so that all of it counts
     save_weights(tmp_path / "w.npz", weights)
     clouds = random_clouds(1280, 3)
-    light, own_word = LatticeNetwork(load_weights(tmp_path / "w.npz"), 1280).run(*clouds)
+    light, network_error = LatticeNetwork(load_weights(tmp_path / "w.npz"), 1280).run(*clouds)
     added = np.sqrt(np.mean((light - Projection(1280, "hdr").estimate_batch(*clouds)) ** 2, axis=(1, 2)))
-    assert (added < 2.001 * own_word).all() and (added > 1.9 * own_word).any()
+    assert (added < 2.001 * network_error).all() and (added > 1.9 * network_error).any()
     _, expected_error = Lattice(1280, "hdr", weights=tmp_path / "w.npz").estimate_batch_with_error(*clouds)
-    size = np.linalg.norm(light, axis=(1, 2)) / np.sqrt(27)  # of the light, with which the estimator averages that word
-    np.testing.assert_allclose(np.log(expected_error), (np.log(own_word) + 3 * np.log(size)) / 4, atol=1e-6)
+    size = np.linalg.norm(light, axis=(1, 2)) / np.sqrt(27)  # of the light, with which the estimator averages it
+    np.testing.assert_allclose(np.log(expected_error), (np.log(network_error) + 3 * np.log(size)) / 4, atol=1e-6)
 
 
 @pytest.mark.parametrize("gains", [4.0, 0.25, [1.3, 1.0, 0.6], [0.5, 0.9, 2.0]])

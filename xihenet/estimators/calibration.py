@@ -23,7 +23,7 @@ SMALLEST_RAW = 1e-6
 OF_SIZE = 0.75
 
 
-def raw_error(own_word: ArrayLike, sh_radiance: ArrayLike) -> ArrayF64:
+def raw_error(network_error: ArrayLike, sh_radiance: ArrayLike) -> ArrayF64:
     """(M,) what is calibrated, of the error that a network expects of itself (M,) and its lights (M, 9, 3).
 
     A geometric mean of the error and, with a weight of `OF_SIZE`, the root mean square of the light. What a network
@@ -31,7 +31,7 @@ def raw_error(own_word: ArrayLike, sh_radiance: ArrayLike) -> ArrayF64:
     more wrong than it is bright. Both scale with the exposure. 0 for black light.
     """
     size = np.sqrt(np.mean(np.square(np.asarray(sh_radiance, np.float64)), axis=(1, 2)))
-    raw: ArrayF64 = np.asarray(own_word, np.float64) ** (1 - OF_SIZE) * size**OF_SIZE
+    raw: ArrayF64 = np.asarray(network_error, np.float64) ** (1 - OF_SIZE) * size**OF_SIZE
     return raw
 
 

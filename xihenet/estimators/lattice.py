@@ -87,10 +87,10 @@ class Lattice(Estimator):
         self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, facing: ArrayF32 | None
     ) -> tuple[ArrayF64, ArrayF64]:
         """Lights (B, 9, 3) and raw errors (B,); the mean of clipped light is no brighter than white."""
-        light, own_word = self._network.run(srgb, distance_m, is_set, facing)
+        light, network_error = self._network.run(srgb, distance_m, is_set, facing)
         if self.target == "ldr":
             np.minimum(light[:, 0], WHITE_L00, out=light[:, 0])
-        return light, raw_error(own_word, light)
+        return light, raw_error(network_error, light)
 
     def _checked_batch(
         self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike

@@ -1,11 +1,12 @@
 """Calibration of a network's word about its own error: how far it may be believed, and what makes it better.
 
-A network's raw expected error comes from training rooms, which it knows better than others: it is too small, and says
-too much of what it learned by heart; and the less of the sphere it has seen, the more so. On the validation rooms a
-power law, times an exponential of the coverage, maps it to the error that was made: three numbers, positive and
-monotone for any raw value. They maximise the likelihood of exponential errors, as in training, whose mean is the best
-guess; so expected errors average to those made. Multiples of the expected error that hold a share of the validation
-clouds then make promises: of 90 % of the clouds the error is below so many times the expected.
+A network's raw expected error (with the size of its light in it, `raw_error`) comes from training rooms, which it knows
+better than others: it is too small, and says too much of what it learned by heart; and the less of the sphere it has
+seen, the more so. On the validation rooms a power law, times an exponential of the coverage, maps it to the error that
+was made: three numbers, positive and monotone for any raw value. They maximise the likelihood of exponential errors, as
+in training, whose mean is the best guess; so expected errors average to those made. Multiples of the expected error
+that hold a share of the validation clouds then make promises: of 90 % of the clouds the error is below so many times
+the expected.
 
 Rejected: a line a + b x raw, which may be negative for an odd raw value; isotonic regression, which is not smooth; the
 power law alone, which kept its promise of 50 % for 45 % of clouds of one view and 62 % of merged ones (validation
