@@ -94,6 +94,15 @@ def test_the_expected_error_is_that_of_rooms_made_by_others(target):
         assert float(share) - 0.06 < np.mean(made <= multiple * expected) <= 1
 
 
+@pytest.mark.parametrize("target", ["ldr", "hdr"])
+def test_where_it_is_dark_or_nothing_was_seen_it_is_not_sure(target):
+    """Black light has no size: the expected error must not vanish with it, and is smaller the more was seen."""
+    known = np.arange(1280) < np.array([[0], [1], [10], [640], [1280]])
+    black, distance_m = np.zeros((5, 1280, 3), np.float32), np.ones((5, 1280), np.float32)
+    _, expected = estimators.load("lattice", target=target).estimate_batch_with_error(black, distance_m, known)
+    assert (expected[:3] > 0.03).all() and expected[2] > expected[3] > expected[4] > 0.005
+
+
 @cache
 def turned_clouds():
     """Of pairs of a view and a position: what is seen of the room, turned by each of `YAWS`."""

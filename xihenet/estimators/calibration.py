@@ -21,6 +21,7 @@ STEEPEST = 3.0
 STEEPEST_IN_COVERAGE = 5.0
 SMALLEST_RAW = 1e-6
 OF_SIZE = 0.75
+DARKEST = 0.02  # Size of a light below which an error does not shrink any more with it; white from everywhere has 1.2.
 
 
 def raw_error(network_error: ArrayLike, sh_radiance: ArrayLike) -> ArrayF64:
@@ -28,10 +29,11 @@ def raw_error(network_error: ArrayLike, sh_radiance: ArrayLike) -> ArrayF64:
 
     A geometric mean of the error and, with a weight of `OF_SIZE`, the root mean square of the light. What a network
     expects is of all that it guessed, of which the estimator believes a part (`lattice_network`); a light is seldom
-    more wrong than it is bright. Both scale with the exposure. 0 for black light.
+    more wrong than it is bright. Both scale with the exposure. Light of less than `DARKEST` counts as that: that hardly
+    anything was seen, or that it was dark, is no reason to be sure.
     """
     size = np.sqrt(np.mean(np.square(np.asarray(sh_radiance, np.float64)), axis=(1, 2)))
-    raw: ArrayF64 = np.asarray(network_error, np.float64) ** (1 - OF_SIZE) * size**OF_SIZE
+    raw: ArrayF64 = np.asarray(network_error, np.float64) ** (1 - OF_SIZE) * np.maximum(size, DARKEST) ** OF_SIZE
     return raw
 
 
