@@ -131,7 +131,7 @@ class BackgroundRun:
         copy = self.folder / self.request.copy
         self.outputs.progress.unlink(missing_ok=True)
         trust = "--disable-autoexec" if bpy.app.autoexec_fail else "--enable-autoexec"
-        # The window, and whatever else is open, goes first; see also `give_way`.
+        # The window, and whatever else is open, goes first.
         first = ["nice", "-n", str(NICENESS)] if sys.platform != "win32" and shutil.which("nice") else []
         # Where this Blender has the add-on's packages, its preferences saved or not.
         paths = [str(Path(sys.modules[name].__file__ or "").parents[1]) for name in ("xihe_blender", "xihenet")]
@@ -145,6 +145,7 @@ class BackgroundRun:
                 start_new_session=True,
                 creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),
             )
+        _let_go_first(self.process.pid)
 
     def stop(self) -> None:
         """End the second Blender at once; what it has finished is kept, file by file."""
@@ -240,10 +241,13 @@ def take_lock(file: IO[Any]) -> bool:
     return True
 
 
-def give_way() -> None:
-    """Step back among the sessions of Linux, too: a process' niceness counts within its session alone."""
+def _let_go_first(pid: int) -> None:
+    """Let other sessions of Linux go before that of process `pid`: its niceness counts within its own session alone.
+
+    At once, not by the second Blender itself: what slows the window most is its start.
+    """
     with contextlib.suppress(OSError):
-        Path("/proc/self/autogroup").write_text(str(NICENESS), encoding="ascii")
+        Path(f"/proc/{pid}/autogroup").write_text(str(NICENESS), encoding="ascii")
 
 
 @contextlib.contextmanager

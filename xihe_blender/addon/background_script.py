@@ -21,7 +21,7 @@ def main(copy: Path, *packages: str) -> None:
     sys.path[:0] = [path for path in dict.fromkeys(packages) if path not in sys.path]
     import bpy
 
-    from xihe_blender.addon.background_run import BackgroundRun, RunState, give_way, take_lock
+    from xihe_blender.addon.background_run import BackgroundRun, RunState, take_lock
     from xihe_blender.addon.failures import FAILURES, format_error
     from xihe_blender.io.json_records import as_json
     from xihe_blender.io.outputs import write_json
@@ -29,7 +29,6 @@ def main(copy: Path, *packages: str) -> None:
     from xihe_blender.previs.previs import previs
     from xihe_blender.previs.settings import PrevisSettings
 
-    give_way()
     run = BackgroundRun(copy.parent)
     lock = run.outputs.lock.open("ab")
     # A panel that looks whether the lock is held holds it itself for a moment.
