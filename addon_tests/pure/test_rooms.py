@@ -117,6 +117,16 @@ def test_varied_rooms_have_all_sizes_clutter_and_lamps_and_some_have_windows_alo
     assert max(len(room.pieces) for room in varied_rooms()) > 100
 
 
+def test_some_varied_rooms_are_lit_by_large_and_dim_lights_alone():
+    soft = [
+        lit
+        for room in varied_rooms()
+        if (lit := [lamp for lamp in room.lamps if lamp.watts > 0])
+        and all(lamp.kind == "uplight" or (lamp.kind == "panel" and lamp.size_m >= 1) for lamp in lit)
+    ]
+    assert len(soft) > 0.15 * len(varied_rooms())
+
+
 def test_training_rooms_alone_are_varied_and_a_larger_share_adds_to_a_smaller_one():
     few, many = ({i for i in range(500) if is_varied(3, i, share)} for share in (0.2, 0.5))
     trained = {i for i in range(500) if split_of((3, i)) == "train"}

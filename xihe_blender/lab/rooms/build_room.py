@@ -6,6 +6,7 @@ rooms. Portals stand in the windows: without them nearly all samples of the sky 
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, replace
 
 import bpy
@@ -184,12 +185,24 @@ def _globe(place: Place, lamp: Lamp, metal: Material) -> None:
     _bulb(place, lamp, middle, 0.12)
 
 
-def _ceiling_light(place: Place, lamp: Lamp, shape: str, **sizes: float) -> None:
-    """An area light just under the ceiling, facing down, where the lamp is lit."""
-    if lamp.watts > 0:
-        where = (lamp.x, lamp.y, lamp.z - 0.025)
-        look = {"shape": shape, "size": lamp.size_m, "energy": lamp.watts, **sizes}
-        lighting.tint_light(lighting.add_light(place.room, place.name, "AREA", where, **look).data, lamp.kelvin)
+def _ceiling_light(place: Place, lamp: Lamp, shape: str, **sizes: float) -> bpy.types.Object | None:
+    """An area light just under the ceiling, facing down, where the lamp is lit; else None."""
+    if lamp.watts <= 0:
+        return None
+    where = (lamp.x, lamp.y, lamp.z - 0.025)
+    look = {"shape": shape, "size": lamp.size_m, "energy": lamp.watts, **sizes}
+    light = lighting.add_light(place.room, place.name, "AREA", where, **look)
+    lighting.tint_light(light.data, lamp.kelvin)
+    return light
+
+
+def _uplight(place: Place, lamp: Lamp, metal: Material) -> None:
+    """A bowl that hides the disk in it from below, so that the ceiling over it gives the light."""
+    bowl = cylinder(0.6 * lamp.size_m, 0.02).moved((lamp.x, lamp.y, lamp.z - 0.05))
+    add_solid(place.room, f"{place.name} bowl", bowl, metal, smooth=True)
+    light = _ceiling_light(place, lamp, "DISK")
+    if light is not None:
+        light.rotation_euler.x = math.pi
 
 
 def _panel(place: Place, lamp: Lamp, metal: Material) -> None:
@@ -218,6 +231,7 @@ def _bare_bulb(place: Place, lamp: Lamp, metal: Material) -> None:
 LAMP_MAKERS = {
     "floor": _floor_lamp, "table": _table_lamp, "pendant": _pendant, "globe": _globe, "panel": _panel, "spot": _spot,
     "strip": _strip, "bulb": _bare_bulb, "candle": _bare_bulb,
+    "uplight": _uplight,
 }  # fmt: skip
 
 

@@ -35,6 +35,13 @@ CLUTTER = ("box", "box", "crate", "ball", "vase", "bowl", "book_pile", "pouf", "
 TONES = {"white": (0.55, 0.85), "dark": (0.02, 0.15), "any": (0.02, 0.85)}
 """Darkest and brightest mean reflectance of what is painted anew in a room."""
 
+SOFT_SHARE = 0.4
+"""Of the rooms, lit by what is large and dim alone. In nearly all others something is many times brighter than white,
+so that a network guesses a lamp where it has seen none, and is far too bright where there is none."""
+
+SOFT_EXPOSURE = (0.4, 1.0)
+"""Of such a room, relative to what the phone would choose."""
+
 GLASS = Finish("glass", (0.9, 0.95, 0.92), roughness=0.02)
 
 
@@ -45,9 +52,14 @@ def sample_varied_room(rng: Rng) -> Room:
     for furnished_as in rng.choice(list(FURNITURE), int(rng.integers(1, 4)), replace=False).tolist():
         furnish(rng, floor, furnished_as)
     add_clutter(rng, floor, tones)
-    regime = _sample_regime(rng, has_window=bool(shell.windows))
+    is_soft = rng.random() < SOFT_SHARE
+    regime = _soft_regime(rng) if is_soft else _sample_regime(rng, has_window=bool(shell.windows))
     daylight = sample_daylight(rng, floor, regime)
-    lamps = [*sample_lamps(rng, floor, "hall", regime, 1.0), *_sample_lights(rng, floor, regime)]
+    lamps = sample_lamps(rng, floor, "hall", regime, 1.0)
+    if is_soft:
+        lamps = (*(replace(lamp, watts=0.0) for lamp in lamps), *_sample_soft_lights(rng, floor))
+    else:
+        lamps = (*lamps, *_sample_lights(rng, floor, regime))
     newly_painted = float(rng.random())
     return Room(
         **vars(shell),
@@ -60,7 +72,7 @@ def sample_varied_room(rng: Rng) -> Room:
         walls=_wall_finishes(rng, len(shell.outline.walls), tones),
         ceiling=any_finish(rng, tones) if rng.random() < 0.4 else palette.ceiling_finish(rng),
         trim=any_finish(rng, tones) if rng.random() < 0.4 else palette.trim_finish(rng),
-        exposure_gain=sample_exposure_gain(rng),
+        exposure_gain=sample_exposure_gain(rng) * (span(rng, *SOFT_EXPOSURE) if is_soft else 1.0),
     )
 
 
@@ -78,6 +90,26 @@ def _sample_regime(rng: Rng, *, has_window: bool) -> Regime:
     sky = float(np.exp(rng.uniform(np.log(0.02), np.log(16.0)))) if has_window else 0.002
     lit_chance = 0.9 if sky < 0.5 else float(rng.choice([0.0, 0.0, 0.3, 0.9]))
     return Regime(0.0, (0.8 * sky, sky), PANORAMAS, 0.35 if sky > 1.0 else 0.0, lit_chance)
+
+
+def _soft_regime(rng: Rng) -> Regime:
+    """A sky that is as bright as the room or darker."""
+    sky = float(np.exp(rng.uniform(np.log(0.02), np.log(2.0))))
+    return Regime(0.0, (0.8 * sky, sky), PANORAMAS, 0.0, 0.0)
+
+
+def _sample_soft_lights(rng: Rng, floor: Floor) -> list[Lamp]:
+    """One to four luminous ceilings of 1 to 16 m², or lights that shine up at the ceiling, or windows alone."""
+    if floor.windows and rng.random() < 1 / 3:
+        return []
+    kind = str(rng.choice(["panel", "uplight"]))
+    watts, kelvin = np.exp(rng.uniform(np.log((10.0, 2000.0)), np.log((150.0, 12000.0)))).tolist()
+    lights = []
+    for _ in range(int(rng.integers(1, 5))):
+        x, y = draw_place(rng, floor)
+        below, size = (0.0, span(rng, 1.0, 4.0)) if kind == "panel" else (span(rng, 0.1, 0.5), span(rng, 0.2, 1.0))
+        lights.append(Lamp(kind, x, y, (1 - below) * floor.ceiling_at((x, y)), size, kelvin, watts))
+    return lights
 
 
 def _sample_lights(rng: Rng, floor: Floor, regime: Regime) -> list[Lamp]:
