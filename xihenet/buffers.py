@@ -7,6 +7,9 @@ Both are replaced, never changed, so a report can keep the clouds it was made fr
 A frame from another side sees surfaces that something hides from the position, and need not see what hides them. So
 what lies behind what is known does not replace it (`in_sight`), unless the frame sees through the place where that was.
 
+Nor does a surface look the same from all sides: a floor mirrors a lamp to one of them. So where the light has not
+changed, what several views show of a surface is averaged (`merge_views`), when the trigger fires.
+
 Paper: section 4.2.1 and `Merging` in its figure 7, in which whatever is newer wins.
 """
 
@@ -21,6 +24,7 @@ from numpy.typing import ArrayLike
 from xihenet.camera import sees_through
 from xihenet.records import FAR_FROM_M, AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_again
+from xihenet.sh import facing_weights
 from xihenet.sphere import AnchorLattice
 
 BEHIND_FROM = 1.5
@@ -32,6 +36,9 @@ N_BESIDE = 6
 Within a frame the nearest point wins an anchor. A thing narrower than that takes all of it; from many frames it would
 come to hide whatever is around it, lamps among it.
 """
+
+SAME_SURFACE = 1.3
+"""Two distances in one direction are those of one surface if neither is more than so many times the other."""
 
 
 class FrameAtPosition(NamedTuple):
@@ -51,6 +58,26 @@ def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     if len(old) != len(new):
         raise ValueError(f"merge: expected clouds with as many anchors, got {len(old)} and {len(new)}")
     return _merged(old, new, _merged_surfaces(old, new, new.is_set))
+
+
+def merge_views(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
+    """`merge` of two views in the same light: of what both show of one surface (`SAME_SURFACE`) the colour is a mean.
+
+    Of the encoded colours, in which a highlight counts less than in linear ones, weighted by how the surfaces face the
+    position (`facing_weights`); alike where that is not known. Both have N anchors (ValueError otherwise). A surface
+    that both show alike keeps its colour to the last bit.
+    """
+    merged = merge(old, new)
+    with np.errstate(over="ignore"):
+        is_same = (new.distance_m <= SAME_SURFACE * old.distance_m) & (old.distance_m <= SAME_SURFACE * new.distance_m)
+    both = np.flatnonzero(old.is_set & new.is_set & is_same)
+    before, after = (
+        facing_weights(np.zeros(len(both)) if cloud.surfaces is None else cloud.surfaces.facing[both])
+        for cloud in (old, new)
+    )
+    share, srgb = (after / (before + after)).astype(np.float32), merged.srgb.copy()
+    srgb[both] = old.srgb[both] + (new.srgb[both] - old.srgb[both]) * share[:, None]
+    return UnitSphereCloud.trusted(srgb, merged.distance_m, merged.is_set, merged.invalid, merged.surfaces)
 
 
 def in_sight(old: UnitSphereCloud, new: UnitSphereCloud, sight: FrameAtPosition | None = None) -> UnitSphereCloud:
@@ -135,9 +162,13 @@ class PositionBuffers:
         """After one more frame was sampled."""
         return replace(self, temporary=merge(self.temporary, sampled))
 
-    def fired(self) -> PositionBuffers:
-        """After the trigger fired: the temporary cloud moves into the persistent one and starts anew."""
-        return PositionBuffers(UnitSphereCloud.empty(len(self.temporary)), merge(self.persistent, self.temporary))
+    def fired(self, *, is_changed: bool = True) -> PositionBuffers:
+        """After the trigger fired: the temporary cloud moves into the persistent one and starts anew.
+
+        Whatever is newer wins where the light `is_changed`; where it is not, both are views of the same light.
+        """
+        merged = (merge if is_changed else merge_views)(self.persistent, self.temporary)
+        return PositionBuffers(UnitSphereCloud.empty(len(self.temporary)), merged)
 
     def moved(self, by_m: ArrayF64, lattice: AnchorLattice) -> PositionBuffers:
         """After the position moved `by_m` (3,): both clouds as they look from there."""

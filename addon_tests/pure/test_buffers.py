@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.made import looked_at, random_cloud
-from xihenet.buffers import PositionBuffers, merge
+from xihenet.buffers import SAME_SURFACE, PositionBuffers, merge, merge_views
 from xihenet.records import AnchorSurfaces, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_again, sample_unit_sphere
 from xihenet.sphere import AnchorLattice
@@ -51,6 +51,53 @@ def test_surfaces_go_with_their_anchors_and_are_unknown_where_nobody_looked(has_
             source = (new if new.is_set[anchor] else old).surfaces
             expected = 0 if source is None else getattr(source, name)[anchor]
             assert (getattr(merged.surfaces, name)[anchor] == expected).all()
+
+
+def merged_anchor_by_anchor(old, new):
+    """What `merge_views` says, in a plain loop: colours alone, (N, 3)."""
+    srgb = merge(old, new).srgb.astype(np.float64)
+    for anchor in range(len(old)):
+        near, far = sorted((float(old.distance_m[anchor]), float(new.distance_m[anchor])))
+        if not (old.is_set[anchor] and new.is_set[anchor] and far <= SAME_SURFACE * near):
+            continue
+        facing = [0.0 if cloud.surfaces is None else float(cloud.surfaces.facing[anchor]) for cloud in (old, new)]
+        before, after = (min(max(cosine + 0.3, 0.2), 1.0) for cosine in facing)
+        srgb[anchor] = (before * old.srgb[anchor] + after * new.srgb[anchor]) / (before + after)
+    return srgb
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_views_of_one_surface_are_averaged_by_how_it_faces_and_others_are_merged(seed):
+    rng = np.random.default_rng(seed)
+    old, new = random_cloud(rng, N), random_cloud(rng, N)
+    distances = old.distance_m * rng.choice([1 / 1.4, 1 / 1.2, 1.0, 1.2, 1.4], N).astype(np.float32)
+    new = UnitSphereCloud(new.srgb, np.where(new.is_set & old.is_set, distances, new.distance_m), new.is_set)
+    huge = np.float32(2e38) if seed % 2 else np.float32(1e-40)
+    sizes = [np.where(cloud.is_set & (np.arange(N) % 5 == 0), huge, cloud.distance_m) for cloud in (old, new)]
+    old, new = (UnitSphereCloud(c.srgb, d, c.is_set) for c, d in zip((old, new), sizes, strict=True))
+    old, new = (with_surfaces(cloud, rng) if seed % 3 != k else cloud for k, cloud in enumerate((old, new)))
+    merged, plain = looked_at(merge_views(old, new)), merge(old, new)
+    np.testing.assert_allclose(merged.srgb, merged_anchor_by_anchor(old, new), atol=1e-6)
+    assert (merged.distance_m == plain.distance_m).all() and (merged.is_set == plain.is_set).all()
+    assert (merged.srgb != plain.srgb).any()
+
+
+def test_a_view_that_shows_the_same_changes_nothing_to_the_last_bit():
+    rng = np.random.default_rng(5)
+    old = with_surfaces(random_cloud(rng, N), rng)
+    assert same(merge_views(old, old), old)
+    assert same(merge_views(old, UnitSphereCloud.empty(N)), old) and same(
+        merge_views(UnitSphereCloud.empty(N), old), old
+    )
+
+
+def test_firing_averages_views_only_where_the_light_is_the_same():
+    rng = np.random.default_rng(4)
+    first = random_cloud(rng, N)
+    second = UnitSphereCloud(first.srgb * np.float32(0.5), first.distance_m, first.is_set)
+    buffers = PositionBuffers.empty(N).with_frame(first).fired().with_frame(second)
+    assert same(buffers.fired(is_changed=True).persistent, second)
+    np.testing.assert_allclose(buffers.fired(is_changed=False).persistent.srgb, 0.75 * first.srgb, atol=1e-6)
 
 
 def seen_in_a_painted_box(position_m, lattice):

@@ -24,7 +24,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.buffers import merge_in_sight
+from xihenet.buffers import in_sight, merge_views
 from xihenet.camera import encode_exposed
 from xihenet.codec import MAX_DISTANCE_M, facing_codes
 from xihenet.colour import srgb_to_linear
@@ -48,7 +48,7 @@ from xihenet.training.rooms import (
 Sampling = Literal["sphere", "uniform", "farthest"]
 SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 AnyCloud = PointCloud | UnitSphereCloud
-CACHE_VERSION = 8
+CACHE_VERSION = 9
 ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
 """(9,) -1 for the spherical harmonics that change their sign with x."""
 
@@ -286,13 +286,17 @@ def _srgb(radiance: NDArray[Any]) -> ArrayF32:
 
 
 def _sampled(views: list[PointCloud], settings: CacheSettings, rng: np.random.Generator) -> AnyCloud:
-    """The views, already relative to the position, as one cloud; a later view wins an anchor unless it lies behind."""
+    """The views, already relative to the position, as one cloud."""
     if settings.sampling == "sphere":
         lattice = AnchorLattice(settings.n_anchors)
-        return reduce(merge_in_sight, (sample_unit_sphere(view, np.zeros(3), lattice) for view in views))
+        return reduce(_merged_views, (sample_unit_sphere(view, np.zeros(3), lattice) for view in views))
     together = PointCloud(np.concatenate([v.points_m for v in views]), np.concatenate([v.srgb for v in views]))
     sample = sample_uniform if settings.sampling == "uniform" else sample_farthest
     return sample(together, settings.n_anchors, rng)
+
+
+def _merged_views(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
+    return merge_views(old, in_sight(old, new))
 
 
 def _build_split(
