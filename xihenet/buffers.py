@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import sees_through
+from xihenet.colour import CLIPPED_FROM
 from xihenet.records import FAR_FROM_M, AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_again
 from xihenet.sh import facing_weights
@@ -64,13 +65,15 @@ def merge_views(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     """`merge` of two views in the same light: of what both show of one surface (`SAME_SURFACE`) the colour is a mean.
 
     Of the encoded colours, in which a highlight counts less than in linear ones, weighted by how the surfaces face the
-    position (`facing_weights`); alike where that is not known. Both have N anchors (ValueError otherwise). A surface
+    position (`facing_weights`); alike where that is not known. Where only one of them is clipped (`CLIPPED_FROM`) the
+    newer one wins: the mean would be of no lamp and of no wall. Both have N anchors (ValueError otherwise). A surface
     that both show alike keeps its colour to the last bit.
     """
     merged = merge(old, new)
     with np.errstate(over="ignore"):
         is_same = (new.distance_m <= SAME_SURFACE * old.distance_m) & (old.distance_m <= SAME_SURFACE * new.distance_m)
-    both = np.flatnonzero(old.is_set & new.is_set & is_same)
+    is_clipped, was_clipped = (cloud.srgb.max(axis=1) >= CLIPPED_FROM for cloud in (new, old))
+    both = np.flatnonzero(old.is_set & new.is_set & is_same & (is_clipped == was_clipped))
     before, after = (
         facing_weights(np.zeros(len(both)) if cloud.surfaces is None else cloud.surfaces.facing[both])
         for cloud in (old, new)

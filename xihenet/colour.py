@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+CLIPPED_FROM = 0.995
+"""An encoded colour is clipped where a channel is at least that: what is shown may be brighter."""
+
 
 def _clipped_floats(values: ArrayLike) -> NDArray[Any]:
     """`values` clipped to [0, 1]; float32 stays float32, all else becomes float64; NaN stays NaN."""

@@ -35,6 +35,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from xihenet.colour import CLIPPED_FROM
 from xihenet.estimators.lattice_format import (
     GATE_OF,
     LEVELS,
@@ -54,7 +55,6 @@ from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE,
 
 SMALLEST_MEAN = 1e-3  # Darker clouds are not brightened further: it would be noise.
 CONTRAST_SCALE = 0.02  # Relative spread of the seen light at which the network is half trusted.
-CLIPPED_FROM = 0.995
 NEAREST_M = 0.05
 FARTHEST_M = 100.0  # The test rooms end at 8 m. Unclipped, 1e38 m made a light of 16 times white.
 SKY_FROM_M = 0.75 * FAR_M  # Light without a distance, also if it has been carried some way.

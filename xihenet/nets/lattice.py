@@ -18,6 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from xihenet.colour import CLIPPED_FROM
 from xihenet.estimators.lattice_format import (
     GATE_OF,
     LEVELS,
@@ -33,7 +34,6 @@ from xihenet.estimators.lattice_network import (
     BRIGHT_GUESS,
     BRIGHT_GUESS_LDR,
     BRIGHT_LAMPS,
-    CLIPPED_FROM,
     CONTRAST_SCALE,
     DOUBT,
     FARTHEST_M,
