@@ -70,7 +70,7 @@ def merge_views(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     that both show alike keeps its colour to the last bit.
     """
     merged = merge(old, new)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # No surface is further away than what is at the end of float32.
         is_same = (new.distance_m <= SAME_SURFACE * old.distance_m) & (old.distance_m <= SAME_SURFACE * new.distance_m)
     is_clipped, was_clipped = (cloud.srgb.max(axis=1) >= CLIPPED_FROM for cloud in (new, old))
     both = np.flatnonzero(old.is_set & new.is_set & is_same & (is_clipped == was_clipped))
