@@ -260,7 +260,7 @@ class XiheController:
             with clock.stage("encode"):
                 look.payload = encode_cloud(look.followed.temporary, settings.codec)
             look.context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
-            # Only what is new in view makes no difference to what was seen of the same surfaces before.
+            # Where only more came into view, older views of a surface are as true as newer ones.
             is_changed = decision.reason != "coverage" or look.n_followed > 0
             look.fired = look.followed.fired(is_changed=is_changed)
         position.buffers, position.decision = buffers, decision
