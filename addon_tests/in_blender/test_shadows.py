@@ -10,11 +10,12 @@ from tiny_scenes import add_lamp, box, empty_scene, material, phone, set_world, 
 
 from xihe_blender.apply.datablocks import has_anything
 from xihe_blender.apply.shadow_catchers import make_shadow_catcher, remove_shadow_catchers, shadow_catchers
-from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.render import RenderSettings, render_only_part, render_passes
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import open_comparer
 from xihe_blender.compare.shadows import ring_around, ring_rmse
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.camera import valid_plane_depth
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight, ObjectLight
 
@@ -106,6 +107,44 @@ def test_nothing_is_around_a_ball_high_in_the_air_and_nothing_is_left_in_the_fil
     assert surfaces == [] and result.ring.any()
     assert not shadow_catchers() and not has_anything(scene)
     assert not [mesh for mesh in bpy.data.meshes if mesh.name.startswith("Xihe")]
+
+
+@pytest.mark.parametrize(
+    ("looks_at", "f_stop", "has_surfaces"),
+    [
+        ((0, 0, 0.15), None, True),
+        ((0, 0, 0.15), None, False),
+        ((0, 0, 0.15), 0.1, False),
+        ((-2.5, 0, 0.15), None, False),
+    ],
+)
+def test_a_part_of_the_picture_is_rendered_and_is_as_in_the_whole_one(looks_at, f_stop, has_surfaces):
+    scene, ball = sunlit()
+    phone(scene, (0, -1.8, 1.1), looks_at)
+    depth_of_field = scene.camera.data.dof
+    depth_of_field.use_dof, depth_of_field.focus_distance = f_stop is not None, 0.3
+    depth_of_field.aperture_fstop = f_stop or 1.0
+    settings = replace(SETTINGS, size=(150, 110), samples=4, denoise=False)
+    with open_scanner(scene, settings) as scanner:
+        scanner.move_to(1)
+        captured = scanner.acquire_environment_scan()
+    with open_comparer(scene, [ball], ["one"], settings, has_key_light=True) as comparer:
+        found = comparer.surfaces_around_objects([captured], 1) if has_surfaces else {}
+        part = comparer.render_layers(captured, {"one": {"Ball": light(captured.exposure)}}, found).passes
+        # A ball that is blurred beyond the part is rendered as a whole.
+        render = comparer.lit.render
+        assert render.use_border == (f_stop is None)
+        assert not render.use_border or render.border_max_y - render.border_min_y < 0.9
+        render.use_persistent_data = False
+        render_only_part(comparer.lit, None)
+        whole = render_passes(comparer.lit).passes
+    np.testing.assert_array_equal(part["Combined.A"], whole["Combined.A"])
+    is_near = valid_plane_depth(whole["Depth.Z"])
+    np.testing.assert_array_equal(valid_plane_depth(part["Depth.Z"]), is_near)
+    is_hit = is_near | (whole["Combined.A"] > 0)
+    assert is_hit.any() == (looks_at[0] == 0)
+    for name, pixels in whole.items():
+        np.testing.assert_array_equal(part[name][is_hit], pixels[is_hit], err_msg=name)
 
 
 def test_a_catcher_of_ours_is_found_and_removed():

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from addon_tests.pure.made import frame_of, pose_of, random_rotation
 from xihenet.camera import (
     in_view,
+    part_around,
     project_points,
     unproject_frame,
 )
@@ -48,6 +49,29 @@ def test_points_behind_the_camera_are_not_in_view():
     intrinsics = Intrinsics(4, 4, 2.0, 2.0, 2.0, 2.0)
     points = [[0, 0, -1], [0, 0, 1], [0.9, 0, -1], [1.1, 0, -1], [0, 0, 0], [np.nan, 0, -1]]
     assert in_view(points, intrinsics, np.eye(4)).tolist() == [True, False, True, False, False, False]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_part_of_the_picture_has_all_pixels_that_show_the_points_and_no_row_or_column_more(seed):
+    rng = np.random.default_rng(seed)
+    intrinsics, pose = random_camera(rng, 170, 110)
+    points = (rng.normal(size=(8, 3)) * 0.3 + [*rng.uniform(-2, 2, 2), -3.0]) @ pose[:3, :3].T + pose[:3, 3]
+    left, top, right, bottom = part_around(points, intrinsics, pose)
+    pixels, _ = project_points(points, intrinsics, pose)
+    is_in_picture = ((pixels >= 0) & (pixels < [170, 110])).all(axis=1)
+    seen = np.floor(pixels[is_in_picture])
+    assert ((seen >= [left, top]) & (seen < [right, bottom])).all()
+    if is_in_picture.all():
+        assert [left, top, right, bottom] == [*seen.min(axis=0), *seen.max(axis=0) + 1]
+    wider = part_around(points, intrinsics, pose, 3)
+    assert wider == (max(left - 3, 0), max(top - 3, 0), min(right + 3, 170), min(bottom + 3, 110))
+
+
+def test_a_part_of_the_picture_is_not_known_where_a_point_is_not_before_the_camera():
+    intrinsics = Intrinsics(4, 4, 2.0, 2.0, 2.0, 2.0)
+    for behind in ([0, 0, 1], [0, 0, 0], [np.nan, 0, -1]):
+        assert part_around([[0, 0, -1], behind], intrinsics, np.eye(4)) is None
+    assert part_around([[9, 0, -1]], intrinsics, np.eye(4)) == (4, 2, 4, 2)
 
 
 def test_no_points_project_to_no_pixels():

@@ -88,6 +88,17 @@ def catch_shadows_of(
     mesh.update(calc_edges=True)
 
 
+def corners_of(item: bpy.types.Object) -> ArrayF64:
+    """(N, 3) the corners of a mesh without modifiers, in its own axes: of a catcher those of the world."""
+    import numpy as np
+
+    mesh = item.data
+    assert isinstance(mesh, bpy.types.Mesh)
+    points = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", points)
+    return points.reshape(-1, 3).astype(np.float64)
+
+
 def triangles_of(scan: bpy.types.Object) -> ArrayF32:
     """(N, 3, 3) corners of the faces of a mesh, world, Blender units; of what its modifiers make nothing is known."""
     import numpy as np
@@ -95,11 +106,10 @@ def triangles_of(scan: bpy.types.Object) -> ArrayF32:
     mesh = scan.data
     assert isinstance(mesh, bpy.types.Mesh)
     mesh.calc_loop_triangles()
-    points, corners = np.empty(3 * len(mesh.vertices), np.float32), np.empty(3 * len(mesh.loop_triangles), np.int32)
-    mesh.vertices.foreach_get("co", points)
+    corners = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", corners)
     world_from_scan = np.array(scan.matrix_world, np.float64)
-    placed = points.reshape(-1, 3) @ world_from_scan[:3, :3].T + world_from_scan[:3, 3]
+    placed = corners_of(scan) @ world_from_scan[:3, :3].T + world_from_scan[:3, 3]
     triangles: ArrayF32 = placed.astype(np.float32)[corners].reshape(-1, 3, 3)
     return triangles
 

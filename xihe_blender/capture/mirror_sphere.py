@@ -13,17 +13,19 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.render import RenderSettings, render_only_part, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects, phone_camera, session_time_s
 from xihe_blender.scene.sphere_rig import MIRROR, RIG_LOOKS, rig_material, sphere_mesh
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.camera import encode_exposed, project_points, sound_plane_depth
-from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
+from xihenet.camera import encode_exposed, part_around, sound_plane_depth
+from xihenet.records import ArrayF64, RgbdFrame
 
 NAME = "Xihe Mirror Sphere Seen"
 RADIUS_M = 0.06
 FINER = 7.5
 """A phone's colour picture, by the pixels of its depth picture along a side."""
+
+SMALLEST_PX = 4
 
 
 @dataclass
@@ -39,40 +41,24 @@ class MirrorSphere:
 
         None where the sphere is not in view.
         """
-        scene, render = self.scene, self.scene.render
+        scene = self.scene
         self.ball.location = tuple(centre_m / metres_per_unit(scene))
         scene.frame_set(frame)
-        render.use_border = False
+        render_only_part(scene, None)
         whole, pose = phone_camera(scene)
-        crop = _crop_around(whole, pose, centre_m, self.radius_m)
-        if crop is None:
+        corners_m = centre_m + self.radius_m * np.array(np.meshgrid(*[(-1.2, 1.2)] * 3)).reshape(3, -1).T
+        part = part_around(corners_m, whole, pose)
+        if part is None or part[2] - part[0] < SMALLEST_PX or part[3] - part[1] < SMALLEST_PX:
             return None
-        (left, top, right, bottom), size = crop, (whole.width, whole.height)
-        render.use_border = render.use_crop_to_border = True
-        render.border_min_x, render.border_max_x = left / size[0], right / size[0]
-        render.border_min_y, render.border_max_y = 1 - bottom / size[1], 1 - top / size[1]
+        render_only_part(scene, part)
         rendered = render_passes(scene)
         radiance, plane_depth_m = first_layer(rendered)
         sound_m, _ = sound_plane_depth(plane_depth_m, radiance)
         height, width = plane_depth_m.shape
-        camera = replace(whole, width=width, height=height, cx=whole.cx - left, cy=whole.cy - top)
+        camera = replace(whole, width=width, height=height, cx=whole.cx - part[0], cy=whole.cy - part[1])
         picture = encode_exposed(radiance, exposure)
         time_s = session_time_s(scene)
         return RgbdFrame(picture, sound_m, camera, pose, exposure, time_s=time_s, frame=frame), rendered.render_s
-
-
-def _crop_around(
-    camera: Intrinsics, pose: ArrayF64, centre_m: ArrayF64, radius_m: float
-) -> tuple[int, int, int, int] | None:
-    """Left, top, right and bottom, in pixels, of what shows a sphere; None where it is beside the picture or behind."""
-    corners = centre_m + radius_m * np.array(np.meshgrid(*[(-1.2, 1.2)] * 3)).reshape(3, -1).T
-    pixels, depth_m = project_points(corners, camera, pose)
-    if (depth_m <= 0).any():
-        return None
-    low, high = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
-    left, top = (int(max(value, 0)) for value in low)
-    right, bottom = int(min(high[0], camera.width)), int(min(high[1], camera.height))
-    return (left, top, right, bottom) if right - left >= 4 and bottom - top >= 4 else None
 
 
 @contextlib.contextmanager

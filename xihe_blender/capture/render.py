@@ -150,6 +150,34 @@ def set_up_memory_exr(image_settings: bpy.types.ImageFormatSettings) -> None:
     image_settings.exr_codec = "NONE"
 
 
+def render_only_part(scene: bpy.types.Scene, part: tuple[int, int, int, int] | None) -> None:
+    """Let `scene` render only left, top, right and bottom, in pixels, of its picture; all of it with None.
+
+    Pictures are then as large as the part. A pixel has the noise that it has in the whole picture.
+    """
+    render = scene.render
+    render.use_border = render.use_crop_to_border = part is not None
+    if part is not None:
+        left, top, right, bottom = part
+        width, height = render.resolution_x, render.resolution_y
+        # Blender cuts off what is behind the point: a quarter of a pixel more is safe from how its 32 bits round.
+        render.border_min_x, render.border_max_x = (left + 0.25) / width, (right + 0.25) / width
+        render.border_min_y, render.border_max_y = (height - bottom + 0.25) / height, (height - top + 0.25) / height
+
+
+def in_whole_picture(rendered: Rendered, part: tuple[int, int, int, int], size: tuple[int, int]) -> Rendered:
+    """What was rendered of a `part`, in pictures (height, width) of `size`; around it there is nothing at any depth."""
+    left, top, right, bottom = part
+    layers: dict[str, dict[str, ArrayF32]] = {}
+    for layer, passes in rendered.layers.items():
+        layers[layer] = {}
+        for name, pixels in passes.items():
+            around = MISS_PLANE_DEPTH_M if name == "Depth.Z" else 0.0
+            layers[layer][name] = whole = np.full((size[1], size[0]), around, np.float32)
+            whole[top:bottom, left:right] = pixels
+    return Rendered(layers, rendered.render_s)
+
+
 def render_passes(scene: bpy.types.Scene) -> Rendered:
     """Render `scene` at its current frame and return its passes.
 

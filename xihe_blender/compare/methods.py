@@ -2,9 +2,9 @@
 
 Ground truth is the room and the virtual objects path-traced together. A method's picture is each virtual object under
 its own estimated light, over the captured frame: a view layer per method and object with a world override and, where
-the run asks for it, a sun as key light; the other
-objects as holdouts, film transparent. The room is not in that scene at all, so these layers cost next to nothing. What
-stands in front of an object in the room hides it, by the captured plane depth, as an AR toolkit does it.
+the run asks for it, a sun as key light; the other objects as holdouts, film transparent. The room is not in that scene
+at all, and only the part of the picture with objects is rendered, so these layers cost little. What stands in front of
+an object in the room hides it, by the captured plane depth, as an AR toolkit does it.
 
 Both sides share bounces, clamps and denoising, and samples but for `REFLECTION_SAMPLES`. Pictures are linear and carry
 the session's exposure; the metrics are weighted by how much of a pixel the objects cover. With a key light the objects
@@ -36,10 +36,19 @@ from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
     catch_shadows_of,
     catcher_name,
+    corners_of,
     make_shadow_catcher,
     remove_shadow_catchers,
 )
-from xihe_blender.capture.render import Rendered, RenderSettings, render_passes, stacked_rgb, working_scene
+from xihe_blender.capture.render import (
+    Rendered,
+    RenderSettings,
+    in_whole_picture,
+    render_only_part,
+    render_passes,
+    stacked_rgb,
+    working_scene,
+)  # fmt: skip
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.compare.shadows import (
     BRIGHTEST,
@@ -57,7 +66,7 @@ from xihe_blender.compare.shadows import (
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.camera import MISS_PLANE_DEPTH_M, unproject_frame, valid_plane_depth
+from xihenet.camera import MISS_PLANE_DEPTH_M, part_around, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import light_of_rough, reflection_panorama
@@ -72,6 +81,13 @@ OCCLUSION_TOLERANCE = 2e-3
 
 RECORDED_TOLERANCE = 0.01
 """The same behind what a range sensor measured, which is off by a centimetre or two."""
+
+MARGIN_PX = 8
+"""By so much the part of the picture that is rendered is wider than the objects in it, at least."""
+
+DENOISER_PX = 16
+"""OpenImageDenoise looks at a picture in blocks of this size: begun elsewhere it would give objects other colours, by
+0.3 % of their light in place of 0.1 %."""
 
 NEAREST_M = 0.05
 """From a position: nearer than this its light is not more of the mixture."""
@@ -246,7 +262,7 @@ class Comparer:
                 layer.use = turn < max(1, len(light.at))
                 if layer.use:
                     self._light(key, light.at[turn][1] if light.at else light, exposure)
-            rendered.append(render_passes(self.lit))
+            rendered.append(self._render_objects(captured))
         for layer in self.lit.view_layers:
             layer.use = True
         layers = dict(rendered[0].layers)
@@ -256,6 +272,25 @@ class Comparer:
                 of_each = [one.layers[name] for one in rendered[: len(light.at)]]
                 layers[name] = blended(of_each, [place_m for place_m, _ in light.at], captured)
         return Rendered(layers, sum(one.render_s for one in rendered))
+
+    def _render_objects(self, captured: RgbdFrame) -> Rendered:
+        """The lit scene where its objects, and what catches their shadows, are in view; around them there is nothing.
+
+        All of it where something reaches beyond that part: hair, or what the camera blurs.
+        """
+        size = (captured.intrinsics.width, captured.intrinsics.height)
+        depsgraph, unit_m = self.lit.view_layers[0].depsgraph, metres_per_unit(self.lit)
+        corners_m = [box_of(bpy.data.objects[name], depsgraph) for name in {name for _, name in self.worlds}]
+        corners_m += [corners_of(catcher) * unit_m for catcher in self.catchers.values()]
+        part = part_around(np.concatenate(corners_m), captured.intrinsics, captured.world_from_camera, MARGIN_PX)
+        part = (0, 0, *size) if part is None else _in_blocks(part, size)
+        render_only_part(self.lit, part)
+        rendered = in_whole_picture(render_passes(self.lit), part, size)
+        if not _reaches_beyond(rendered, part):
+            return rendered
+        render_only_part(self.lit, None)
+        whole = render_passes(self.lit)
+        return Rendered(whole.layers, rendered.render_s + whole.render_s)
 
     def _light(self, key: tuple[str, str], light: ObjectLight, exposure: float) -> None:
         """Set world, sun and samples of a method's object for `light`, which carries `exposure`."""
@@ -343,6 +378,30 @@ def blended(
             each = np.clip(np.nan_to_num(each, nan=1.0), 0.0, BRIGHTEST)
         mixed[name] = np.einsum("kij,kij->ij", weights, each).astype(np.float32)
     return mixed
+
+
+def _in_blocks(part: tuple[int, int, int, int], size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """`part` of a picture (width, height) of `size`, extended to whole blocks of the denoiser; one if it is empty."""
+    (left, top, right, bottom), (width, height) = part, size
+    if left == right or top == bottom:
+        left, top, right, bottom = 0, height - 1, 1, height
+    # Cycles counts rows from below.
+    low, high = (height - bottom) // DENOISER_PX, -(-(height - top) // DENOISER_PX)
+    left, right = left // DENOISER_PX * DENOISER_PX, min(-(-right // DENOISER_PX) * DENOISER_PX, width)
+    return left, max(height - high * DENOISER_PX, 0), right, height - low * DENOISER_PX
+
+
+def _reaches_beyond(rendered: Rendered, part: tuple[int, int, int, int]) -> bool:
+    """Whether something covers an edge of the `part` of the picture that was rendered, and there is more beside it."""
+    left, top, right, bottom = part
+    for passes in rendered.layers.values():
+        alpha = passes["Combined.A"]
+        within, (height, width) = alpha[top:bottom, left:right], alpha.shape
+        beside = [(left > 0, within[:, :1]), (right < width, within[:, -1:]), (top > 0, within[:1])]
+        beside.append((bottom < height, within[-1:]))
+        if any(has_more and (edge > 0).any() for has_more, edge in beside):
+            return True
+    return False
 
 
 def composite(
