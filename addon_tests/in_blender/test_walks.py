@@ -154,10 +154,13 @@ def test_where_there_is_no_floor_to_walk_on_one_stands_and_looks_around():
 
 
 @pytest.mark.slow
-def test_a_walked_room_is_the_room_of_the_free_views():
-    free, walk = make_room(5, 0, SMALL), make_room(5, 0, SMALL, walk=7)
+def test_a_room_of_a_walk_or_of_more_views_is_the_room_of_the_free_views():
+    free, walk, more = make_room(5, 0, SMALL), make_room(5, 0, SMALL, walk=7), make_room(5, 0, SMALL, views=9)
     for name in ("positions_m", "seed"):
-        assert getattr(free, name).tobytes() == getattr(walk, name).tobytes(), name
+        assert getattr(free, name).tobytes() == getattr(walk, name).tobytes() == getattr(more, name).tobytes(), name
+    assert more.srgb_u8.shape == (9, 24, 32, 3)
+    assert len(np.unique(more.world_from_camera[:, :3, 3], axis=0)) == 9
+    np.testing.assert_allclose(free.sh_hdr / free.exposure, more.sh_hdr / more.exposure, rtol=1e-6)
     np.testing.assert_allclose(free.sh_hdr / free.exposure, walk.sh_hdr / walk.exposure, rtol=1e-6)
     np.testing.assert_allclose(free.balls.astype(float), walk.balls.astype(float), rtol=2e-3, atol=1e-6)
     assert (free.kind, free.regime) == (walk.kind, walk.regime)
@@ -209,6 +212,7 @@ def test_folders_without_a_walk_go_on_as_free_views_and_are_written_so(tmp_path)
         ({}, small_build(3, walk=24)),
         ({"walk": 3}, small_build(3)),
         ({"walk": 3}, small_build(3, walk=4)),
+        ({"walk": None, "views": 9}, small_build(3, views=8)),
         ({"metering": None}, small_build(3)),  # As it was in the old way.
         ({"seed": None, "scenes": True}, small_build(3)),
     ],

@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--workers K", workers, int, dest="n_workers")
     add("--seed N", "the same seed makes the same rooms", int, default=0)
     add("--walk F", "render F frames of a walk through each room instead of five separate views", int)
+    add("--views N", "render N separate views of each room instead of five: more of it is seen", int)
     add(
         "--varied SHARE",
         "share of the training rooms that are far more varied than homes and offices",

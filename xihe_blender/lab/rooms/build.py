@@ -31,6 +31,7 @@ from xihenet.training.rooms import SPLITS, Split, split_of
 POLL_S = 0.25
 MAX_ROOMS = 1_000_000
 MAX_WALK = 240
+MIN_VIEWS, MAX_VIEWS = 5, 50
 WORKER = "xihe_blender.lab.rooms.worker"
 ROOMS_AT_A_TIME = 8  # That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender
 MANIFEST = "dataset.json"  # What the rooms in a folder are made with
@@ -45,6 +46,7 @@ class BuildSettings:
     n_workers: int | None = None  # processes, one thread each; None for one per core of this process
     render: tuple[int, ...] = (128, 96, 4, 160, 2, 80)  # as `RoomRenderSettings.numbers` has them
     walk: int | None = None  # frames of a walk in place of the free views; None for free views
+    views: int | None = None  # free views of each room; None for the usual number
     varied: float = 0.0  # share of the training rooms that are far more varied than homes and offices, 0 to 1
     by_day: float = 0.0  # share of the training rooms whose lamps are off, by day, where they have windows
     split: Split | None = None  # make the rooms of this split alone; None for all
@@ -59,6 +61,10 @@ class BuildSettings:
             raise UserError(f"--workers {self.n_workers}: give 1 or more")
         if self.walk is not None and not 2 <= self.walk <= MAX_WALK:
             raise UserError(f"--walk {self.walk}: give 2 to {MAX_WALK} frames")
+        if self.views is not None and not MIN_VIEWS <= self.views <= MAX_VIEWS:
+            raise UserError(f"--views {self.views}: give {MIN_VIEWS} to {MAX_VIEWS}")
+        if self.views is not None and self.walk is not None:
+            raise UserError("--views and --walk: give one of them")
         for name, share in (("varied", self.varied), ("by-day", self.by_day)):
             if not 0 <= share <= 1:
                 raise UserError(f"--{name} {share:g}: give a share between 0 and 1")
@@ -74,7 +80,7 @@ class BuildSettings:
     def provenance(self) -> dict[str, Any]:
         """What all rooms of a folder share. What the first data sets did not know is named where it is used."""
         shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": list(self.render), "metering": METERING}
-        optional = {"walk": self.walk, "varied": self.varied, "by_day": self.by_day}
+        optional = {"walk": self.walk, "views": self.views, "varied": self.varied, "by_day": self.by_day}
         return shared | {name: value for name, value in optional.items() if value}
 
 
@@ -159,4 +165,6 @@ def _arguments(folder: Path, settings: BuildSettings, indices: Sequence[int]) ->
     arguments = ["--out", str(folder), "--seed", str(settings.seed), "--rooms", ",".join(str(i) for i in indices)]
     arguments += ["--settings", *(str(n) for n in settings.render), "--varied", str(settings.varied)]
     arguments += ["--by-day", str(settings.by_day)]
-    return arguments if settings.walk is None else [*arguments, "--walk", str(settings.walk)]
+    for name, number in (("--walk", settings.walk), ("--views", settings.views)):
+        arguments += [] if number is None else [name, str(number)]
+    return arguments

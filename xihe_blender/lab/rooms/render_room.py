@@ -1,4 +1,4 @@
-"""What does a room give? Views of a phone, five free ones or a walk's, and light probes, rendered from one scene.
+"""What does a room give? Views of a phone, free ones or a walk's, and light probes, rendered from one scene.
 
 The phone's exposure is metered on the views themselves, as a capture meters it on its path: no further renders.
 """
@@ -22,7 +22,7 @@ from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.rooms import is_by_day, is_varied, room_generator, sample_room, walk_generator
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, ArrayF16, StoredRoom, as_float16
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
-from xihe_blender.lab.rooms.views import PhoneView, RoomRays, RoomTooFull, sample_positions, sample_views
+from xihe_blender.lab.rooms.views import N_VIEWS, PhoneView, RoomRays, RoomTooFull, sample_positions, sample_views
 from xihe_blender.lab.rooms.walk import sample_walk
 from xihenet import __version__
 from xihenet.camera import encode_exposed, in_view, valid_plane_depth
@@ -78,6 +78,7 @@ def make_room(
     settings: RoomRenderSettings,
     *,
     walk: int | None = None,
+    views: int | None = None,
     varied: float = 0.0,
     by_day: float = 0.0,
 ) -> StoredRoom:
@@ -85,8 +86,8 @@ def make_room(
 
     `varied` and `by_day` are shares of the training rooms: far more varied, and lit through windows alone. With `walk`
     the views are so many frames of a walk, and room, positions and their light are the same as without: the free views
-    are drawn all the same. A room that offers too few places, or is nearly black, is drawn again from the same
-    generator.
+    are drawn all the same. `views` are that many free ones in place of N_VIEWS. A room that offers too few places, or
+    is nearly black, is drawn again from the same generator.
     UserError if Cycles cannot render.
     """
     rng = room_generator(seed, index)
@@ -98,13 +99,13 @@ def make_room(
         rays = RoomRays.of(scene)
         try:
             positions_m = sample_positions(rng, room, rays)
-            views = sample_views(rng, room, rays, positions_m)
+            phone_views = sample_views(rng, room, rays, positions_m, views or N_VIEWS)
         except RoomTooFull:
             continue
         if walk is not None:
-            views = sample_walk(walk_generator(seed, index), room, rays, positions_m, views, walk)
-        is_unhidden = np.stack([rays.reach(view.place_m, positions_m) for view in views])
-        pictures = render_views(scene, views, settings.view)
+            phone_views = sample_walk(walk_generator(seed, index), room, rays, positions_m, phone_views, walk)
+        is_unhidden = np.stack([rays.reach(view.place_m, positions_m) for view in phone_views])
+        pictures = render_views(scene, phone_views, settings.view)
         exposure = metered_exposure([p.radiance for p in pictures], METERING) * room.exposure_gain
         if exposure > MAX_EXPOSURE:
             continue

@@ -134,19 +134,26 @@ class PhoneView:
         return self.world_from_camera[:3, 3]
 
 
-def sample_views(rng: Rng, room: Room, rays: RoomRays, positions_m: ArrayF64) -> list[PhoneView]:
-    """N_VIEWS views of which all but the last are pointed at a position. RoomTooFull if there are not as many."""
+def sample_views(
+    rng: Rng, room: Room, rays: RoomRays, positions_m: ArrayF64, n_views: int = N_VIEWS
+) -> list[PhoneView]:
+    """Views of which each position has one that is pointed at it, and of the others every second; the last is free.
+
+    RoomTooFull if there are not as many.
+    """
     fov_deg = float(rng.uniform(60, 72))
     views: list[PhoneView] = []
-    for attempt in range(VIEW_TRIES):
-        target = positions_m[len(views) % len(positions_m)] if len(views) < N_VIEWS - 1 else None
+    n_tries = VIEW_TRIES * n_views // N_VIEWS
+    for attempt in range(n_tries):
+        is_pointed = len(views) < N_POSITIONS or (len(views) % 2 and len(views) < n_views - 1)
+        target = positions_m[len(views) % len(positions_m)] if is_pointed else None
         view = _draw_view(rng, room, target, fov_deg)
         # A small room has no place from which all is far away: ask for less as the tries go on.
-        if view is not None and sees_something(rays, view, 1.1 - 0.6 * attempt / VIEW_TRIES):
+        if view is not None and sees_something(rays, view, 1.1 - 0.6 * attempt / n_tries):
             views.append(view)
-        if len(views) == N_VIEWS:
+        if len(views) == n_views:
             return views
-    raise RoomTooFull(f"only {len(views)} of {N_VIEWS} views found")
+    raise RoomTooFull(f"only {len(views)} of {n_views} views found")
 
 
 def _draw_view(rng: Rng, room: Room, target: ArrayF64 | None, fov_deg: float) -> PhoneView | None:

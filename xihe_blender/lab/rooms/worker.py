@@ -27,12 +27,8 @@ def make_rooms(options: argparse.Namespace, is_stopped: Callable[[], bool]) -> N
             return
         path = room_path(options.out, index)
         if not path.exists():
-            save_room(
-                path,
-                make_room(
-                    options.seed, index, settings, walk=options.walk, varied=options.varied, by_day=options.by_day
-                ),
-            )
+            shares = {"varied": options.varied, "by_day": options.by_day}
+            save_room(path, make_room(options.seed, index, settings, walk=options.walk, views=options.views, **shares))
 
 
 def main() -> int:
@@ -45,6 +41,7 @@ def main() -> int:
     parser.add_argument("--varied", type=float, default=0.0, help="share of the training rooms that are varied")
     parser.add_argument("--by-day", type=float, default=0.0, help="share of the training rooms lit by windows alone")
     parser.add_argument("--walk", type=int, metavar="F", help="frames of a walk in place of free views")
+    parser.add_argument("--views", type=int, metavar="N", help="free views of each room")
     options = parser.parse_args()
     # Ctrl-C reaches the whole group of processes; the build decides what it means. Told to end, finish the room:
     # a process that dies while Cycles renders leaves its temporary files behind.
