@@ -9,7 +9,7 @@ from xihenet.colour import linear_to_srgb
 from xihenet.estimators import weights_format
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import EstimateContext
-from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.lattice import FAINTEST, Lattice, of_one_shape
 from xihenet.estimators.lattice_format import (
     LEVELS,
     LatticeArchitecture,
@@ -161,8 +161,8 @@ def test_what_is_added_is_at_most_twice_the_error_that_is_expected(tmp_path):
     light, network_error = LatticeNetwork(load_weights(tmp_path / "w.npz"), 1280).run(*clouds)
     added = np.sqrt(np.mean((light - Projection(1280, "hdr").estimate_batch(*clouds)) ** 2, axis=(1, 2)))
     assert (added < 2.001 * network_error).all() and (added > 1.9 * network_error).any()
-    _, expected_error = Lattice(1280, "hdr", weights=tmp_path / "w.npz").estimate_batch_with_error(*clouds)
-    size = np.linalg.norm(light, axis=(1, 2)) / np.sqrt(27)  # of the light, with which the estimator averages it
+    given, expected_error = Lattice(1280, "hdr", weights=tmp_path / "w.npz").estimate_batch_with_error(*clouds)
+    size = np.linalg.norm(given, axis=(1, 2)) / np.sqrt(27)  # of the light, with which the estimator averages it
     np.testing.assert_allclose(np.log(expected_error), (np.log(network_error) + 3 * np.log(size)) / 4, atol=1e-6)
 
 
@@ -373,3 +373,47 @@ def test_next_to_nothing_seen_leans_on_the_phones_sensor_and_constant_light_stay
         constant = UnitSphereCloud(linear_to_srgb(sensed) * is_set[:, None], 2.0 * is_set, is_set)
         np.testing.assert_allclose(estimator.estimate(constant, context), constant_light(sensed), atol=1e-5)
     assert far[0] > 0.9 and far[1] < 0.01 and far[2] < 1e-12
+
+
+# ----------------------------------------------------------------------------------------------- one shape of channels
+
+
+def lights_and_coverage(seed, n=6):
+    rng = np.random.default_rng(seed)
+    lights = rng.normal(0, 0.4, (n, 9, 3)) * rng.uniform(0.01, 30, (n, 1, 3))
+    lights[:, 0] = np.abs(lights[:, 0]) + rng.uniform(0.1, 5, (n, 3))
+    return lights, rng.uniform(0, 1, n)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_channels_are_of_one_shape_as_the_plain_sum_says(seed):
+    lights, coverage = lights_and_coverage(seed)
+    found = of_one_shape(lights, coverage)
+    for light, seen, of_light in zip(lights, coverage, found, strict=True):
+        for coefficient in range(9):
+            shapes = [light[coefficient, c] / light[0, c] for c in range(3)]
+            common = sum(shapes) / 3
+            wanted = [light[0, c] * (seen * shapes[c] + (1 - seen) * common) for c in range(3)]
+            assert of_light[coefficient] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_turned_or_tinted_light_has_its_channels_turned_or_tinted(seed):
+    lights, coverage = lights_and_coverage(seed)
+    turn = turns_of_light()[3]
+    found, tint = of_one_shape(lights, coverage), np.array([1.4, 1.0, 0.6])
+    np.testing.assert_allclose(of_one_shape(turn @ lights, coverage), turn @ found, atol=1e-12)
+    np.testing.assert_allclose(of_one_shape(lights * tint, coverage), found * tint, atol=1e-12)
+    np.testing.assert_allclose(found[:, 0], lights[:, 0])
+
+
+def test_grey_light_and_what_was_seen_all_around_and_a_channel_without_light_stay_as_they_are():
+    lights, coverage = lights_and_coverage(0)
+    grey = lights[:, :, :1] * np.ones(3)
+    np.testing.assert_allclose(of_one_shape(grey, coverage), grey, rtol=1e-12)
+    np.testing.assert_allclose(of_one_shape(lights, np.ones(6)), lights, rtol=1e-12)
+    for nasty in (0.0, -1.0, FAINTEST / 2, 1e-310, np.inf):
+        odd = lights / lights[:, :1]
+        odd[:, 0, 2] = nasty
+        np.testing.assert_array_equal(of_one_shape(odd, coverage), odd)
+    np.testing.assert_array_equal(of_one_shape(np.zeros((2, 9, 3)), np.zeros(2)), 0)

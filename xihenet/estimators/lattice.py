@@ -22,6 +22,7 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, UnitSphereCloud
 
 SEEN_ENOUGH = 0.01  # Share of the sphere from which an estimate counts more than the ambient sensor.
 WHITE_L00 = float(np.sqrt(4 * np.pi))  # Of light that is 1 from everywhere.
+FAINTEST = 1e-3  # Of the brightest channel: one that is fainter says nothing of the others' shape, nor they of its.
 _CLOUDS_AT_ONCE = 8  # their features stay in the cache
 
 
@@ -86,10 +87,15 @@ class Lattice(Estimator):
     def _run(
         self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, facing: ArrayF32 | None
     ) -> tuple[ArrayF64, ArrayF64]:
-        """Lights (B, 9, 3) and raw errors (B,); the mean of clipped light is no brighter than white."""
+        """Lights (B, 9, 3) and raw errors (B,).
+
+        The mean of clipped light is no brighter than white; of all of the light see `of_one_shape`.
+        """
         light, network_error = self._network.run(srgb, distance_m, is_set, facing)
         if self.target == "ldr":
             np.minimum(light[:, 0], WHITE_L00, out=light[:, 0])
+        else:
+            light = of_one_shape(light, is_set.mean(axis=1))
         return light, raw_error(network_error, light)
 
     def _checked_batch(
@@ -114,6 +120,22 @@ class Lattice(Estimator):
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         return self.estimate_with_error(cloud, context)[0]
+
+
+def of_one_shape(sh_radiance: ArrayF64, coverage: ArrayF64) -> ArrayF64:
+    """Lights (B, 9, 3) with channels as much of one shape as nobody saw their surroundings, of coverage (B,).
+
+    What nobody saw is guessed for each channel, and wrong for each by chance: what they have in common is more certain.
+    So 1 - coverage of the shape, a channel's coefficients over its first, is the mean of the three. The mean light and
+    its colour stay; a turned or tinted light becomes the turned or tinted one; grey light stays as it is, and light
+    from all around that was seen. So does a light with a channel that is not positive or below FAINTEST of another.
+    """
+    mean, share = sh_radiance[:, :1], (1 - coverage)[:, None, None]
+    is_clear = (mean > FAINTEST * mean.max(axis=2, keepdims=True)) & (mean > np.finfo(np.float32).tiny)
+    shape = sh_radiance / np.where(is_clear, mean, 1.0)
+    mixed = mean * ((1 - share) * shape + share * shape.mean(axis=2, keepdims=True))
+    one_shape: ArrayF64 = np.where(is_clear.all(axis=2, keepdims=True), mixed, sh_radiance)
+    return one_shape
 
 
 def lean_on_sensor(sh_radiance: ArrayF64, coverage: ArrayF64, sensed: ArrayF64) -> ArrayF64:
