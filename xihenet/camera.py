@@ -12,6 +12,7 @@ distortion, rolling shutter. Paper: section 4.1.1, `GeneratePointCloud`.
 from __future__ import annotations
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -185,13 +186,22 @@ def project_points(
     return np.stack([x, y], axis=1), plane_depth_m
 
 
+class PicturePart(NamedTuple):
+    """A rectangle of whole pixels; `right` and `bottom` are the first that are no more of it."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
 def part_around(
     points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike, margin_px: int = 0
-) -> tuple[int, int, int, int] | None:
-    """Left, top, right and bottom, in whole pixels, of the part of a picture that shows points (P, 3), world, metres.
+) -> PicturePart | None:
+    """The part of a picture that shows points (P, 3), world, metres, and `margin_px` around it.
 
-    Right and bottom are the first that are no more of it; a part beside the picture has left = right or top = bottom.
-    None where a point is not before the camera, or is not finite: what lies between may be anywhere.
+    A part beside the picture has left = right or top = bottom. None where a point is not before the camera, or is not
+    finite: what lies between may be anywhere.
     """
     pixels, plane_depth_m = project_points(points_m, intrinsics, world_from_camera)
     if not (np.isfinite(pixels).all() and (plane_depth_m > 0).all()):
@@ -199,7 +209,7 @@ def part_around(
     size = (intrinsics.width, intrinsics.height)
     left, top = np.clip(np.floor(pixels.min(axis=0)) - margin_px, 0, size).astype(int).tolist()
     right, bottom = np.clip(np.ceil(pixels.max(axis=0)) + margin_px, 0, size).astype(int).tolist()
-    return left, top, right, bottom
+    return PicturePart(left, top, right, bottom)
 
 
 def _inverse_3x3(matrix: ArrayF64) -> ArrayF64:

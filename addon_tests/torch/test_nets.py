@@ -8,7 +8,7 @@ import torch
 
 from addon_tests.pure.test_lattice import nasty_clouds, random_clouds
 from xihenet.colour import srgb_to_linear
-from xihenet.estimators.lattice import Lattice, of_one_shape
+from xihenet.estimators.lattice import Lattice, given_light
 from xihenet.estimators.lattice_format import load_weights
 from xihenet.estimators.lattice_network import LatticeNetwork
 from xihenet.estimators.pointconv_network import PointConvArchitecture
@@ -54,7 +54,7 @@ def test_numpy_gives_what_torch_gives(tmp_path, n, target):
             given = (*parts, facing) if facing is not None else parts
             light, expected_error = net(*map(torch.from_numpy, given))
         in_numpy, error_in_numpy = estimator.estimate_batch(*parts, facing=facing), network.run(*parts, facing)[1]
-        in_torch = light.numpy() if target == "ldr" else of_one_shape(light.numpy(), parts[2].mean(axis=1))
+        in_torch = light.numpy() if target == "ldr" else given_light(light.numpy(), parts[2].mean(axis=1), target)
         np.testing.assert_allclose(in_numpy, in_torch, atol=1e-5)
         np.testing.assert_allclose(error_in_numpy, expected_error.numpy(), atol=1e-5)
         lights.append(in_numpy)

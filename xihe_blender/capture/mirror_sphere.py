@@ -48,14 +48,14 @@ class MirrorSphere:
         whole, pose = phone_camera(scene)
         corners_m = centre_m + self.radius_m * np.array(np.meshgrid(*[(-1.2, 1.2)] * 3)).reshape(3, -1).T
         part = part_around(corners_m, whole, pose)
-        if part is None or part[2] - part[0] < SMALLEST_PX or part[3] - part[1] < SMALLEST_PX:
+        if part is None or min(part.right - part.left, part.bottom - part.top) < SMALLEST_PX:
             return None
         render_only_part(scene, part)
         rendered = render_passes(scene)
         radiance, plane_depth_m = first_layer(rendered)
         sound_m, _ = sound_plane_depth(plane_depth_m, radiance)
         height, width = plane_depth_m.shape
-        camera = replace(whole, width=width, height=height, cx=whole.cx - part[0], cy=whole.cy - part[1])
+        camera = replace(whole, width=width, height=height, cx=whole.cx - part.left, cy=whole.cy - part.top)
         picture = encode_exposed(radiance, exposure)
         time_s = session_time_s(scene)
         return RgbdFrame(picture, sound_m, camera, pose, exposure, time_s=time_s, frame=frame), rendered.render_s

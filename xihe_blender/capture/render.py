@@ -25,7 +25,7 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.scene.state import WORKING, users_name
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.camera import MISS_PLANE_DEPTH_M
+from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart
 from xihenet.exr import read_exr
 from xihenet.records import ArrayF32
 
@@ -150,8 +150,8 @@ def set_up_memory_exr(image_settings: bpy.types.ImageFormatSettings) -> None:
     image_settings.exr_codec = "NONE"
 
 
-def render_only_part(scene: bpy.types.Scene, part: tuple[int, int, int, int] | None) -> None:
-    """Let `scene` render only left, top, right and bottom, in pixels, of its picture; all of it with None.
+def render_only_part(scene: bpy.types.Scene, part: PicturePart | None) -> None:
+    """Let `scene` render only a part of its picture; all of it with None.
 
     Pictures are then as large as the part. A pixel has the noise that it has in the whole picture.
     """
@@ -160,12 +160,12 @@ def render_only_part(scene: bpy.types.Scene, part: tuple[int, int, int, int] | N
     if part is not None:
         left, top, right, bottom = part
         width, height = render.resolution_x, render.resolution_y
-        # Blender cuts off what is behind the point: a quarter of a pixel more is safe from how its 32 bits round.
+        # Blender rounds down to whole pixels: a quarter of one more is safe from what 32 bits lose.
         render.border_min_x, render.border_max_x = (left + 0.25) / width, (right + 0.25) / width
         render.border_min_y, render.border_max_y = (height - bottom + 0.25) / height, (height - top + 0.25) / height
 
 
-def in_whole_picture(rendered: Rendered, part: tuple[int, int, int, int], size: tuple[int, int]) -> Rendered:
+def in_whole_picture(rendered: Rendered, part: PicturePart, size: tuple[int, int]) -> Rendered:
     """What was rendered of a `part`, in pictures (height, width) of `size`; around it there is nothing at any depth."""
     left, top, right, bottom = part
     layers: dict[str, dict[str, ArrayF32]] = {}

@@ -48,7 +48,7 @@ from xihe_blender.capture.render import (
     render_passes,
     stacked_rgb,
     working_scene,
-)  # fmt: skip
+)
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.compare.shadows import (
     BRIGHTEST,
@@ -66,7 +66,7 @@ from xihe_blender.compare.shadows import (
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.camera import MISS_PLANE_DEPTH_M, part_around, unproject_frame, valid_plane_depth
+from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart, part_around, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import light_of_rough, reflection_panorama
@@ -283,7 +283,7 @@ class Comparer:
         corners_m = [box_of(bpy.data.objects[name], depsgraph) for name in {name for _, name in self.worlds}]
         corners_m += [corners_of(catcher) * unit_m for catcher in self.catchers.values()]
         part = part_around(np.concatenate(corners_m), captured.intrinsics, captured.world_from_camera, MARGIN_PX)
-        part = (0, 0, *size) if part is None else _in_blocks(part, size)
+        part = PicturePart(0, 0, *size) if part is None else _in_blocks(part, size)
         render_only_part(self.lit, part)
         rendered = in_whole_picture(render_passes(self.lit), part, size)
         if not _reaches_beyond(rendered, part):
@@ -380,7 +380,7 @@ def blended(
     return mixed
 
 
-def _in_blocks(part: tuple[int, int, int, int], size: tuple[int, int]) -> tuple[int, int, int, int]:
+def _in_blocks(part: PicturePart, size: tuple[int, int]) -> PicturePart:
     """`part` of a picture (width, height) of `size`, extended to whole blocks of the denoiser; one if it is empty."""
     (left, top, right, bottom), (width, height) = part, size
     if left == right or top == bottom:
@@ -388,10 +388,10 @@ def _in_blocks(part: tuple[int, int, int, int], size: tuple[int, int]) -> tuple[
     # Cycles counts rows from below.
     low, high = (height - bottom) // DENOISER_PX, -(-(height - top) // DENOISER_PX)
     left, right = left // DENOISER_PX * DENOISER_PX, min(-(-right // DENOISER_PX) * DENOISER_PX, width)
-    return left, max(height - high * DENOISER_PX, 0), right, height - low * DENOISER_PX
+    return PicturePart(left, max(height - high * DENOISER_PX, 0), right, height - low * DENOISER_PX)
 
 
-def _reaches_beyond(rendered: Rendered, part: tuple[int, int, int, int]) -> bool:
+def _reaches_beyond(rendered: Rendered, part: PicturePart) -> bool:
     """Whether something covers an edge of the `part` of the picture that was rendered, and there is more beside it."""
     left, top, right, bottom = part
     for passes in rendered.layers.values():

@@ -87,15 +87,9 @@ class Lattice(Estimator):
     def _run(
         self, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, facing: ArrayF32 | None
     ) -> tuple[ArrayF64, ArrayF64]:
-        """Lights (B, 9, 3) and raw errors (B,).
-
-        The mean of clipped light is no brighter than white; of all of the light see `of_one_shape`.
-        """
+        """Lights (B, 9, 3) and raw errors (B,)."""
         light, network_error = self._network.run(srgb, distance_m, is_set, facing)
-        if self.target == "ldr":
-            np.minimum(light[:, 0], WHITE_L00, out=light[:, 0])
-        else:
-            light = of_one_shape(light, is_set.mean(axis=1))
+        light = given_light(light, is_set.mean(axis=1), self.target)
         return light, raw_error(network_error, light)
 
     def _checked_batch(
@@ -120,6 +114,18 @@ class Lattice(Estimator):
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         return self.estimate_with_error(cloud, context)[0]
+
+
+def given_light(sh_radiance: ArrayF64, coverage: ArrayF64, target: Target) -> ArrayF64:
+    """Lights (B, 9, 3) that the estimator gives for its network's, from clouds of coverage (B,).
+
+    The mean of clipped light is no brighter than white; for all of the light see `of_one_shape`.
+    """
+    if target == "hdr":
+        return of_one_shape(sh_radiance, coverage)
+    bounded: ArrayF64 = sh_radiance.copy()
+    np.minimum(bounded[:, 0], WHITE_L00, out=bounded[:, 0])
+    return bounded
 
 
 def of_one_shape(sh_radiance: ArrayF64, coverage: ArrayF64) -> ArrayF64:

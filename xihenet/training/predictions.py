@@ -26,7 +26,7 @@ from torch import nn
 
 from xihenet.estimators.base import Target
 from xihenet.estimators.calibration import raw_error
-from xihenet.estimators.lattice import of_one_shape
+from xihenet.estimators.lattice import given_light
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt
 from xihenet.training.baselines import Baselines
 from xihenet.training.dataset import CloudSet, open_split, read_cache
@@ -155,8 +155,8 @@ class NetworkSeeds:
         predictions = []
         for net in self.nets:
             light, error = predict(net, clouds, self.target, self.device)
-            if (self.estimator, self.target) == ("lattice", "hdr"):
-                light = of_one_shape(light, clouds.coverage)
+            if self.estimator == "lattice":
+                light = given_light(light, clouds.coverage, self.target)
             raw = None if error is None else raw_error(error, light)
             predictions.append(Prediction(cases, self.target, light.astype(np.float64), raw))
         return predictions
