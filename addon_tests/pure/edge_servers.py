@@ -126,9 +126,10 @@ class DelayingProxy:
         self._ready.set()
         async with server:
             await self._stopping.wait()
-        for writer in self._writers:
-            writer.close()
-        await asyncio.gather(*(writer.wait_closed() for writer in self._writers), return_exceptions=True)
+            # From Python 3.12 on a server that is closed waits for its connections.
+            for writer in self._writers:
+                writer.close()
+            await asyncio.gather(*(writer.wait_closed() for writer in self._writers), return_exceptions=True)
 
     async def _connected(self, reader, writer):
         there, back = await asyncio.open_connection("127.0.0.1", self._to)
@@ -147,6 +148,7 @@ class DelayingProxy:
     def __exit__(self, *_):
         self._loop.call_soon_threadsafe(self._stopping.set)
         self._thread.join(20)
+        assert not self._thread.is_alive()
 
 
 def published_body(cloud):
