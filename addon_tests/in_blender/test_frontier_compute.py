@@ -104,6 +104,7 @@ def test_a_frame_of_fewer_pixels_sees_the_same_points(step):
     assert few.points_m == pytest.approx(grid, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_every_way_to_compute_gives_a_finite_light_at_every_place():
     walk = room_walk(2)
     for choice in compute_choices(is_quick=True):

@@ -43,12 +43,14 @@ def test_the_bounds_are_those_of_noise():
         assert bound / 10 < other[name] < bound / 1.5, f"{name}: {other[name]:.4f}"
 
 
+@pytest.mark.slow
 def test_the_anchors_take_the_rest_of_what_a_yaw_may_change():
     for name in ESTIMATORS:
         errors = [apart(turned_by_hand(seen(), yaw, name), seen().lights[name]) for yaw in np.linspace(1, 359, 12)]
         assert TOLERANCE[name] / 10 < max(errors) < TOLERANCE[name]
 
 
+@pytest.mark.slow
 def test_a_light_that_is_not_turned_back_is_told_apart():
     lights, known = seen(ALL_THREE[1]).lights, seen().lights
     for name in ("projection", "truth"):

@@ -87,6 +87,7 @@ def test_a_stopped_advice_leaves_nothing_half_written_and_goes_on(scene, out):
     assert looked(scene, out, wishes=wishes).objects == looked(scene, out.parent / "whole", wishes=wishes).objects
 
 
+@pytest.mark.slow
 def test_the_map_needs_no_virtual_object(scene, out):
     bpy.data.objects.remove(bpy.data.objects["Ball"])
     (one,) = looked(scene, out, wishes=LookWishes(is_for_map=True)).objects

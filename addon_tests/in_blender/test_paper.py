@@ -147,6 +147,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, capfd, typed, said):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_acceleration_grid_is_the_papers_to_a_fifth_of_a_per_cent(tmp_path):
     study = paper.chosen_studies(["acceleration_grid"])[0]
     rows = list(itertools.islice(study.measure([], StudyOptions(True, 0, Path(tmp_path))), 5))
@@ -171,6 +172,7 @@ def test_bytes_are_counted_on_the_clouds_of_a_walk(walk, tmp_path):
     assert 0 < n_set < 1280 and rows["float32_stripped, mean"].value == pytest.approx(18 * n_set)
 
 
+@pytest.mark.slow
 def test_even_anchors_share_the_sphere_and_those_of_a_grid_do_not(walk, tmp_path):
     study = paper.chosen_studies(["anchors_uniform"])[0]
     rows = {row.what: row.value for row in study.measure([walk], StudyOptions(True, 0, tmp_path))}

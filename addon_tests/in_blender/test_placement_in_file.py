@@ -65,6 +65,7 @@ def values(name):
     return found
 
 
+@pytest.mark.slow
 def test_the_map_of_a_run_is_that_of_the_command_line_and_costs_no_render(scene, ran, tmp_path):
     with counted_renders() as renders:
         assert bpy.ops.xihe.map_places() == {"FINISHED"}

@@ -159,6 +159,7 @@ def test_a_ball_of_a_few_pixels_is_said_to_be_too_small_to_judge_by(tmp_path):
     assert said in format_summary(results) and said in (tmp_path / "out" / "report.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another(tmp_path):
     changes = [{"seed": seed, "frames": (1,), "exposure": 1.0} for seed in (0, 1)]
     one, other = (run(walk(), tmp_path / str(n), replace(SMALL, **change)) for n, change in enumerate(changes))

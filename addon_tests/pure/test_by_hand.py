@@ -44,6 +44,7 @@ def test_what_is_no_scale_and_no_floor_is_one_line(folder, tmp_path, capfd, type
     assert said in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_light_does_not_depend_on_the_unit_of_length(folder, tmp_path):
     """A place in the room of twice the size has the light of that place."""
     lights = []

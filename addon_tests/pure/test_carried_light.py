@@ -65,6 +65,7 @@ def test_the_light_follows_a_lamp_in_intensity_and_colour_and_comes_back(light):
     np.testing.assert_allclose(back, 1, rtol=0.03)
 
 
+@pytest.mark.slow
 def test_10_000_frames_of_a_lamp_that_is_switched_400_times_do_not_drift():
     lights = np.where(np.arange(10_000) // 25 % 2, 0.4, 1.0)
     shown = {}

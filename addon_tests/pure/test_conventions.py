@@ -80,6 +80,7 @@ def walked(frames):
     return np.linalg.norm(np.diff(places, axis=0), axis=1).sum(), np.degrees(turns.sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n_each", "is_measured"), [(8, False), (3, True)])
 def test_wrong_conventions_are_named(n_each, is_measured):
     n_named = 0
@@ -93,6 +94,7 @@ def test_wrong_conventions_are_named(n_each, is_measured):
     assert n_named >= 0.95 * n_each * len(WRONG)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [None, 1.0, 2.0])
 def test_right_walks_are_not_accused(degrees):
     """As they are, and as they are measured with poses that are off by so much."""

@@ -77,6 +77,7 @@ def test_a_session_that_does_not_drift_has_gains_of_1(seed):
     assert found.is_known.all() and worst(found, 1.0) < 0.02
 
 
+@pytest.mark.slow
 def test_errors_do_not_add_up_along_a_long_walk():
     """200 frames, once around and back to the start."""
     gains = drifting(np.random.default_rng(0), 200)

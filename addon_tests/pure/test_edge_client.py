@@ -81,6 +81,7 @@ def test_without_rounding_the_lights_are_equal(server, backend_to):
     assert np.allclose(backend.estimate(cloud), local.estimate(cloud), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_session_of_200_frames_loses_nothing_and_equals_the_local_one(server, backend_to):
     backend, local = backend_to(server, target="hdr"), LocalBackend(estimators.load("lattice", N, "hdr"))
     eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0))

@@ -408,6 +408,7 @@ def test_a_client_whose_bytes_trickle_is_cut_off_all_the_same():
             assert 0.3 < time.monotonic() - started < 2
 
 
+@pytest.mark.slow
 def test_a_connection_that_is_kept_may_rest_between_requests_and_is_closed_in_the_end():
     with EdgeServer(ServerSettings(port=0, header_s=0.6, body_s=0.6)) as server:
         started = time.monotonic()

@@ -93,6 +93,7 @@ def test_of_what_many_send_at_once_to_one_position_no_anchor_is_lost(two):
             assert max(answer["coverage"] for _, answer in answers) == 1.0
 
 
+@pytest.mark.slow
 def test_a_store_that_is_killed_is_said_and_sessions_go_on_once_it_is_back(two, redis_server):
     session, token = two[0].opened(n_anchors=N)
     first, second = clouds(2)
@@ -119,6 +120,7 @@ def test_a_store_that_is_killed_is_said_and_sessions_go_on_once_it_is_back(two, 
     assert status == 200 and answer["coverage"] == (first.is_set | second.is_set).mean()
 
 
+@pytest.mark.slow
 def test_workers_share_a_port_and_one_that_dies_is_started_anew(redis_server):
     command = [sys.executable, "-m", "xihe_blender", "serve", "--estimator", "projection", "--port", "0"]
     command += ["--workers", "2", "--store", redis_server.url]

@@ -382,6 +382,7 @@ def test_a_large_frame_is_thinned_and_its_points_lie_where_they_lay(tmp_path, ca
     assert images.intrinsics == thinned.intrinsics
 
 
+@pytest.mark.slow
 def test_a_photo_of_24_megapixels_takes_little_memory(tmp_path):
     camera = write_camera(tmp_path / "camera.json")
     write_image(tmp_path / "plane_depth.png", MILLIMETRES)

@@ -17,6 +17,7 @@ def rendered(light, size, cells=8):
     return radiance.reshape(size, cells, size, cells, 3).mean(axis=(1, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "tolerance"), [(64, 0.12), (160, 0.04)])
 def test_light_of_any_low_order_comes_out_as_it_went_in(size, tolerance):
     light = random_light(4)

@@ -112,6 +112,7 @@ def test_the_wheel_records_every_file_as_it_is(wheel):
         assert int(size) == len(contents[name])
 
 
+@pytest.mark.slow
 @pytest.mark.wheel_only("a whole Blender's Python may have no pip")
 def test_pip_installs_the_wheel_and_it_estimates_light_without_the_checkout(wheel, tmp_path):
     name, content = wheel
@@ -126,6 +127,7 @@ def test_pip_installs_the_wheel_and_it_estimates_light_without_the_checkout(whee
     assert done.stdout.split() == [str(tmp_path / "site" / "xihe_blender" / "__init__.py"), "lattice"], done.stderr
 
 
+@pytest.mark.slow
 def test_another_content_makes_another_version_of_the_wheel(wheel, tmp_path):
     checkout = copy_of_the_checkout(tmp_path / "checkout")
     assert project_wheel(checkout)[0] == wheel[0]

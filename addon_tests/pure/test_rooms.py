@@ -36,6 +36,7 @@ def room(request: pytest.FixtureRequest) -> Room:
     return (usual_rooms() + varied_rooms())[request.param]
 
 
+@pytest.mark.slow
 def test_a_room_is_the_same_when_it_is_drawn_again_and_differs_from_others():
     assert [sample_room(room_generator(7, i)) for i in range(20)] == usual_rooms()[:20]
     assert [sample_varied_room(room_generator(8, i)) for i in range(5)] == varied_rooms()[:5]
@@ -101,6 +102,7 @@ def test_all_shapes_and_hours_occur():
     assert len({room.kind for room in usual_rooms()}) == 8
 
 
+@pytest.mark.slow
 def test_half_of_the_rooms_by_day_have_a_sun_from_hazy_to_far_brighter_than_the_sky():
     by_day = [sample_room(room_generator(7, i), by_day=True) for i in range(N_SEEDS)]
     suns = [room.daylight.sun for room in by_day if room.windows]

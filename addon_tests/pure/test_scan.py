@@ -75,6 +75,7 @@ def test_noise_is_averaged():
     assert off_m(mesh_of(frames)) < 0.004
 
 
+@pytest.mark.slow
 def test_a_ball_has_no_skirt_to_the_wall_behind_it():
     centre_m, poses = np.array([0.0, 0, 0]), []
     for azimuth in np.linspace(0, 2 * np.pi, 12, endpoint=False):

@@ -170,6 +170,7 @@ print(len(capture.frames), (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss -
 """
 
 
+@pytest.mark.slow
 def test_ten_thousand_frames_stay_on_disk(tmp_path):
     write_walk(tmp_path, 1)
     whole = load_frame(tmp_path / "frame_000000.exr")

@@ -66,6 +66,7 @@ def test_estimators_of_different_sizes_are_refused():
         scored([], {"a": Knows(0.0), "b": other}, np.zeros((0, 3)))
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_table(tmp_path, capfd):
     as_nerfstudio(tmp_path / "in", walk(LAYOUTS["Nerfstudio"][1], 9))
     assert main(["replay", str(tmp_path / "in"), "--score", "--out", str(tmp_path / "out")]) == 0
