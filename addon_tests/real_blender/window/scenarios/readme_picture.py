@@ -1,11 +1,13 @@
 """The picture of the README: the tab beside a lit room, and estimate against ground truth beside both."""
 
 import bpy
+from window_steps import smooth_edges
 
 
 def scenario(w):
     scene = bpy.context.scene
     bpy.context.preferences.view.ui_scale = 0.9
+    smooth_edges(True)
     tidy_window(w)
     yield 1
     timeline = next(a for a in w.window.screen.areas if a.type == "DOPESHEET_EDITOR")

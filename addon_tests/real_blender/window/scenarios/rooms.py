@@ -33,6 +33,8 @@ def make_runs_short(scene):
     settings = scene.xihe
     settings.use_own_size, settings.size = True, (32, 24)
     settings.preset = "draft"
+    # Of the view through Cycles, which takes all cores until it is done.
+    scene.cycles.preview_samples = 4
 
 
 def look_through_camera(window):
