@@ -34,6 +34,7 @@ FONT = 0
 FONT_PX = 12.0
 LINE = 1.2
 RIM: Colour = (0.0, 0.0, 0.0, 0.8)
+BEHIND_TEXT: Colour = (0.0, 0.0, 0.0, 0.5)
 UNKNOWN: Colour = (0.85, 0.85, 0.85, 1.0)
 LITTLE: Colour = (0.95, 0.35, 0.15, 1.0)
 MUCH: Colour = (0.20, 0.75, 0.95, 1.0)
@@ -206,16 +207,19 @@ def text_width(text: str) -> float:
 
 
 def draw_text(left: float, bottom: float, text: str) -> None:
-    """White, with a shadow to be read before a bright wall; `left` and `bottom` are pixels of the region."""
+    """White on a dark box, to be read before a bright window; `left` and `bottom` are pixels of the region."""
     import blf
+    import gpu
 
-    blf.size(FONT, FONT_PX * bpy.context.preferences.system.ui_scale)
+    size = FONT_PX * bpy.context.preferences.system.ui_scale
+    x = left - 0.3 * size, left + text_width(text) + 0.3 * size
+    y = bottom - 0.3 * size, bottom + (LINE - 0.3) * size
+    gpu.state.blend_set("ALPHA")
+    draw_triangles([(x[i], y[j]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1))], BEHIND_TEXT)
+    gpu.state.blend_set("NONE")
     blf.color(FONT, 1.0, 1.0, 1.0, 1.0)
-    blf.enable(FONT, blf.SHADOW)
-    blf.shadow(FONT, 3, 0.0, 0.0, 0.0, 0.9)
     blf.position(FONT, left, bottom, 0)
     blf.draw(FONT, text)
-    blf.disable(FONT, blf.SHADOW)
 
 
 def below_others(wanted: Box, taken: Sequence[Box]) -> Box:
