@@ -43,7 +43,6 @@ def test_the_bounds_are_those_of_noise():
         assert bound / 10 < other[name] < bound / 1.5, f"{name}: {other[name]:.4f}"
 
 
-@pytest.mark.slow
 def test_the_anchors_take_the_rest_of_what_a_yaw_may_change():
     for name in ESTIMATORS:
         errors = [apart(turned_by_hand(seen(), yaw, name), seen().lights[name]) for yaw in np.linspace(1, 359, 12)]

@@ -25,7 +25,6 @@ def coloured_room():
     return scene
 
 
-@pytest.mark.slow
 def test_light_of_the_sphere_is_that_of_the_light_probe():
     scene, exposure = coloured_room(), 0.5
     before = [{block.name for block in kind} for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials)]
