@@ -53,10 +53,13 @@ class Position(NamedTuple):
 
 
 class Overlay:
-    """The draw handler, and the positions it draws by name of the scene, until something changes."""
+    """The draw handler, the positions it draws by name of the scene, until something changes, and where its labels are
+    by pointer of the region.
+    """
 
     def __init__(self) -> None:
         self.positions: dict[str, list[Position]] = {}
+        self.labels: dict[int, list[Box]] = {}
         self._handle = bpy.types.SpaceView3D.draw_handler_add(self.draw, (), "WINDOW", "POST_PIXEL")
 
     def remove(self) -> None:
@@ -66,6 +69,7 @@ class Overlay:
         """Called by Blender for every 3D view that is drawn."""
         context = bpy.context
         scene, space = context.scene, context.space_data
+        taken = self.labels[context.region.as_pointer()] = []
         if not (scene.xihe.show_positions and space.overlay.show_overlays):
             return
         if scene.name not in self.positions:
@@ -73,7 +77,6 @@ class Overlay:
         run = last_run(scene.xihe.run_folder)
         coverage = dict(run.last_coverage) if run else {}
         coverage |= {name: seen for name, (seen, _) in live_positions().items()}
-        taken: list[Box] = []
         for position, x, y in on_screen(context, self.positions[scene.name]):
             seen = coverage.get(position.name)
             draw_disc(x, y, colour_of(seen))
@@ -192,10 +195,14 @@ def draw_label(x: float, y: float, text: str, taken: list[Box]) -> None:
     """`text` beside the disc, below the labels of `taken`."""
     scale = bpy.context.preferences.system.ui_scale
     left, bottom = x + (RADIUS_PX + 5) * scale, y - 0.35 * FONT_PX * scale
-    wanted = (left, bottom, left + text_width(text), bottom + LINE * FONT_PX * scale)
-    box = below_others(wanted, taken)
+    box = below_others(box_of(left, bottom, text), taken)
     taken.append(box)
     draw_text(box[0], box[1], text)
+
+
+def box_of(left: float, bottom: float, text: str) -> Box:
+    """What `text` takes up there."""
+    return left, bottom, left + text_width(text), bottom + LINE * FONT_PX * bpy.context.preferences.system.ui_scale
 
 
 def text_width(text: str) -> float:
@@ -232,6 +239,11 @@ def below_others(wanted: Box, taken: Sequence[Box]) -> Box:
 
 
 _overlay: Overlay | None = None
+
+
+def labels_in(region: bpy.types.Region) -> Sequence[Box]:
+    """Of the positions, as they were drawn last."""
+    return () if _overlay is None else _overlay.labels.get(region.as_pointer(), ())
 
 
 @bpy.app.handlers.persistent  # type: ignore[untyped-decorator]

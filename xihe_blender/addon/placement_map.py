@@ -16,7 +16,7 @@ import bpy
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob
-from xihe_blender.addon.overlay import draw_text, text_width
+from xihe_blender.addon.overlay import Box, below_others, box_of, draw_text, labels_in, text_width
 from xihe_blender.addon.panels import StagePanel, sentence
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.placement_map import (
@@ -243,11 +243,16 @@ class MapView:
         draw_legend(MapOf.read(item.data).error_range)
         index = self.under_mouse(context, item)
         if index is not None and self.mouse is not None:
-            scale = context.preferences.system.ui_scale
             words = format_place(item, index)
-            left = min(self.mouse[1] + MOUSE_OFFSET_PX * scale, context.region.width - text_width(words) - MARGIN_PX)
-            draw_text(max(0.0, left), self.mouse[2] + MOUSE_OFFSET_PX * scale, words)
+            draw_text(*self.box_of_words(context, words)[:2], words)
         draw_ring(context, item)
+
+    def box_of_words(self, context: bpy.types.Context, words: str) -> Box:
+        """Beside the mouse, in the region, and over no label of a position."""
+        _, x, y = self.mouse or (0, 0.0, 0.0)
+        offset = MOUSE_OFFSET_PX * context.preferences.system.ui_scale
+        left = max(0.0, min(x + offset, context.region.width - text_width(words) - MARGIN_PX))
+        return below_others(box_of(left, y + offset, words), labels_in(context.region))
 
     def under_mouse(self, context: bpy.types.Context, item: bpy.types.Object) -> int | None:
         """The face of the map under the mouse, as far as it is in this region."""

@@ -47,6 +47,8 @@ def test_light_follows_an_object_that_is_moved(first_success):
 def test_the_map_shows_the_place_under_the_mouse_and_is_made_without_a_freeze(first_success):
     found, wanted = first_success.facts["under_mouse"]
     assert found == wanted
+    words, ball = first_success.facts["words_and_labels"]
+    assert words[3] <= ball[1] or ball[3] <= words[1] or words[2] <= ball[0] or ball[2] <= words[0]
     assert first_success.facts["map_freeze_s"] < 2 * LONGEST_FREEZE_S
 
 

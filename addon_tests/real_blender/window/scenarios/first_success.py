@@ -12,6 +12,7 @@ from free_window import Heartbeat
 from rooms import look_through_camera, make_runs_short, room_to_light
 
 from xihe_blender.addon import placement_map as placement_view
+from xihe_blender.addon.overlay import labels_in
 from xihe_blender.apply.datablocks import LightOf
 from xihe_blender.apply.placement_map import MapOf, placement_map
 
@@ -177,6 +178,8 @@ def see_the_map(w):
     view = placement_view._view
     with w.context(region):
         w.facts["under_mouse"] = [view.under_mouse(bpy.context, item), index]
+        words = view.box_of_words(bpy.context, placement_view.format_place(item, index))
+        w.facts["words_and_labels"] = [words, *labels_in(region)]
     yield from w.picture("8_map")
 
 
