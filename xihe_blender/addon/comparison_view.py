@@ -11,7 +11,7 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.addon.overlay import FONT_PX, draw_text, text_width
+from xihe_blender.addon.overlay import FONT_PX, LINE, draw_text, text_width
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import last_run
 from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, ROOM, image_named
@@ -45,11 +45,11 @@ def draw_labels() -> None:
     to_region = context.region.view2d.view_to_region
     left, top = to_region(0.0, 1.0, clip=False)
     right, _ = to_region(1.0, 1.0, clip=False)
-    baseline = top - (FONT_PX + MARGIN_PX) * scale
+    line = top - (LINE * FONT_PX + MARGIN_PX) * scale
     if room.xihe.wipe > 0:
-        draw_text(left + MARGIN_PX * scale, baseline, f"Estimate: {run.settings.estimator}")
+        draw_text(left + MARGIN_PX * scale, line, f"Estimate: {run.settings.estimator}")
     if room.xihe.wipe < 1:
-        draw_text(right - MARGIN_PX * scale - text_width("Ground truth"), baseline, "Ground truth")
+        draw_text(right - MARGIN_PX * scale - text_width("Ground truth"), line, "Ground truth")
     _, bottom = to_region(0.0, 0.0, clip=False)
     frame = context.space_data.image.get(FRAME)
     draw_text(left + MARGIN_PX * scale, bottom + MARGIN_PX * scale, f"Frame {frame}")

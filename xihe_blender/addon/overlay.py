@@ -32,7 +32,9 @@ RADIUS_PX = 6.0
 N_CORNERS = 20
 FONT = 0
 FONT_PX = 12.0
-LINE = 1.2
+LINE, INSET = 1.2, 0.3
+"""Height of a line, and what is left free around its words, in sizes of the font."""
+
 RIM: Colour = (0.0, 0.0, 0.0, 0.8)
 BEHIND_TEXT: Colour = (0.0, 0.0, 0.0, 0.5)
 UNKNOWN: Colour = (0.85, 0.85, 0.85, 1.0)
@@ -194,38 +196,42 @@ def disc_corners(x: float, y: float, radius: float) -> list[tuple[float, float]]
 def draw_label(x: float, y: float, text: str, taken: list[Box]) -> None:
     """`text` beside the disc, below the labels of `taken`."""
     scale = bpy.context.preferences.system.ui_scale
-    left, bottom = x + (RADIUS_PX + 5) * scale, y - 0.35 * FONT_PX * scale
+    left, bottom = x + (RADIUS_PX + 2) * scale, y - LINE / 2 * FONT_PX * scale
     box = below_others(box_of(left, bottom, text), taken)
     taken.append(box)
     draw_text(box[0], box[1], text)
 
 
 def box_of(left: float, bottom: float, text: str) -> Box:
-    """What `text` takes up there."""
-    return left, bottom, left + text_width(text), bottom + LINE * FONT_PX * bpy.context.preferences.system.ui_scale
+    """The dark box on which `draw_text` draws `text` there."""
+    return left, bottom, left + text_width(text), bottom + LINE * font_size()
 
 
 def text_width(text: str) -> float:
-    """Pixels of `text` as `draw_text` draws it."""
+    """Of that box, in pixels."""
     import blf
 
-    blf.size(FONT, FONT_PX * bpy.context.preferences.system.ui_scale)
-    return float(blf.dimensions(FONT, text)[0])
+    blf.size(FONT, font_size())
+    return float(blf.dimensions(FONT, text)[0]) + 2 * INSET * font_size()
+
+
+def font_size() -> float:
+    return FONT_PX * float(bpy.context.preferences.system.ui_scale)
 
 
 def draw_text(left: float, bottom: float, text: str) -> None:
-    """White on a dark box, to be read before a bright window; `left` and `bottom` are pixels of the region."""
+    """White on a dark box, to be read before a bright window, whose corner is at these pixels of the region."""
     import blf
     import gpu
 
-    size = FONT_PX * bpy.context.preferences.system.ui_scale
-    x = left - 0.3 * size, left + text_width(text) + 0.3 * size
-    y = bottom - 0.3 * size, bottom + (LINE - 0.3) * size
+    _, _, right, top = box_of(left, bottom, text)
+    low_left, low_right, high_right, high_left = (left, bottom), (right, bottom), (right, top), (left, top)
     gpu.state.blend_set("ALPHA")
-    draw_triangles([(x[i], y[j]) for i, j in ((0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1))], BEHIND_TEXT)
+    draw_triangles([low_left, low_right, high_right, low_left, high_right, high_left], BEHIND_TEXT)
     gpu.state.blend_set("NONE")
+    blf.size(FONT, font_size())
     blf.color(FONT, 1.0, 1.0, 1.0, 1.0)
-    blf.position(FONT, left, bottom, 0)
+    blf.position(FONT, left + INSET * font_size(), bottom + INSET * font_size(), 0)
     blf.draw(FONT, text)
 
 

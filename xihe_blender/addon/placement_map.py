@@ -289,7 +289,7 @@ def draw_legend(error_range: tuple[float, float]) -> None:
     batch_for_shader(shader, "TRI_STRIP", {"pos": corners, "color": linear}).draw(shader)
     low, most = (f"{error:.3f}" for error in error_range)
     draw_text(left, bottom + 1.6 * high, "Expected error of AR light")
-    draw_text(left + width + high, bottom + 0.1 * high, f"{low} to {most} and more; grey: unknown")
+    draw_text(left + width + high / 2, bottom, f"{low} to {most} and more; grey: unknown")
 
 
 def draw_ring(context: bpy.types.Context, item: bpy.types.Object) -> None:
