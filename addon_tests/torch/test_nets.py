@@ -147,7 +147,7 @@ def test_pointconv_has_about_the_papers_size():
 
 def test_farthest_points_are_those_of_the_plain_loop_and_never_repeat():
     places, _, known = points(seed=4)
-    chosen, is_new = farthest_points(places, torch.cdist(places, places).square(), known, 16)
+    chosen, is_new = farthest_points(places, known, 16)
     assert is_new.sum(1).tolist() == [min(16, int(k)) for k in known.sum(1)]
     cloud, usable = places[2].numpy(), np.flatnonzero(known[2].numpy())
     picked = [usable[np.linalg.norm(cloud[usable], axis=1).argmax()]]

@@ -304,12 +304,18 @@ def test_a_stopped_training_ends_where_an_undisturbed_one_does(caches, tmp_path,
     assert (tmp_path / "whole" / "curves.csv").read_text() == (tmp_path / "stopped" / "curves.csv").read_text()
 
 
-def test_a_training_begins_with_other_weights_and_keeps_a_share_of_them(caches, tmp_path):
-    other_sizes = {"stem": 5, "middle": 7, "code": 9}
-    first = train(quick(caches["sphere"], tmp_path / "first", options=other_sizes))
+OTHER_SIZES = [
+    ("lattice", {"stem": 5, "middle": 7, "code": 9}),
+    ("xihenet", {**TINY_POINTCONV, "is_bfloat16_in_training": True}),
+]
+
+
+@pytest.mark.parametrize(("estimator", "other_sizes"), OTHER_SIZES)
+def test_a_training_begins_with_other_weights_and_keeps_a_share_of_them(caches, tmp_path, estimator, other_sizes):
+    first = train(quick(caches["sphere"], tmp_path / "first", estimator=estimator, options=other_sizes))
     export_network(first, tmp_path / "start.npz", is_half=False)
     start = weights(tmp_path / "first" / "best.pt")
-    begun = {"start": tmp_path / "start.npz", "epochs": 1}
+    begun = {"estimator": estimator, "start": tmp_path / "start.npz", "epochs": 1}
     still = train(quick(caches["sphere"], tmp_path / "still", learning_rate=0.0, **begun))
     assert same_weights(start, weights(still))
     kept = weights(train(quick(caches["sphere"], tmp_path / "kept", start_share=0.75, **begun)))

@@ -23,7 +23,9 @@ from torch import Tensor, nn
 from xihenet.estimators.pointconv_network import PointConvArchitecture
 
 _FAR = 1e9
-_NEIGHBOURS_AT_ONCE = 8192  # rows of some 100 numbers: larger blocks leave the cache, smaller ones gain nothing
+# Larger blocks leave the cache, smaller ones gain nothing.
+_NEIGHBOURS_AT_ONCE = 8192  # rows of some 100 numbers
+_PAIRS_AT_ONCE = 160_000  # whose distances are taken
 
 
 class PointConvNet(nn.Module):  # type: ignore[misc]
@@ -104,12 +106,12 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
             # Relative to the cloud's size: rooms differ by a factor of ten, and a bandwidth in metres would fit one.
             size = (points_m.norm(dim=2) * known).sum(1) / known.sum(1).clamp(min=1)
             places = points_m / size.clamp(min=1e-3)[:, None, None]
-            squared = _squared_distances(places)
-            inverse_density = _inverse_density(squared, known, self.bandwidth)
             n_points = known.shape[1]
-            centroids, is_centroid = farthest_points(places, squared, known, min(self.n_centroids, n_points))
-            from_centroids = torch.where(known[:, None], _rows(squared, centroids), _FAR)
+            centroids, is_centroid = farthest_points(places, known, min(self.n_centroids, n_points))
+            from_centroids = _squared_distances(_rows(places, centroids), places)
+            from_centroids = torch.where(known[:, None], from_centroids, _FAR)
             near = from_centroids.topk(min(self.n_neighbours, n_points), dim=2, largest=False).indices
+            inverse_density = _inverse_density(places, known, self.bandwidth)
             return Neighbourhoods(places, inverse_density, centroids, is_centroid, near)
 
     def _convolve(
@@ -122,10 +124,10 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
         return cast(Tensor, self.combine(torch.matmul(features.transpose(2, 3), weights).flatten(2)))
 
 
-def farthest_points(points: Tensor, squared: Tensor, known: Tensor, n: int) -> tuple[Tensor, Tensor]:
-    """(B, n) numbers of points of which each is the farthest from those before, and whether it is a new one.
+def farthest_points(points: Tensor, known: Tensor, n: int) -> tuple[Tensor, Tensor]:
+    """(B, n) numbers of points (B, N, 3) of which each is the farthest from those before, and whether it is a new one.
 
-    points (B, N, 3), squared (B, N, N) their squared distances. Starts at the known point farthest from the origin,
+    Starts at the known point farthest from the origin,
     so that the order of the points says nothing. Where the known points are used up, numbers repeat and are marked
     False.
     """
@@ -135,7 +137,7 @@ def farthest_points(points: Tensor, squared: Tensor, known: Tensor, n: int) -> t
         remaining = torch.where(known, _FAR, -1.0)
         chosen, is_new = [index], [known.any(1)]
         for _ in range(n - 1):
-            remaining = torch.minimum(remaining, squared[rows, index])
+            remaining = torch.minimum(remaining, _squared_distances(points[rows, index, None], points)[:, 0])
             value, index = remaining.max(1)
             chosen.append(index)
             is_new.append(value > 0)
@@ -172,14 +174,28 @@ def _gather(values: Tensor, index: Tensor) -> Tensor:
     return nn.functional.embedding(index + offsets.reshape(-1, *[1] * (index.ndim - 1)), table)
 
 
-def _squared_distances(places: Tensor) -> Tensor:
-    """(B, N, N), without the cancellation that a product of the two would bring."""
-    return torch.cdist(places, places, compute_mode="donot_use_mm_for_euclid_dist").square_()
+def _squared_distances(some: Tensor, others: Tensor) -> Tensor:
+    """(B, M, N) of (B, M, 3) and (B, N, 3), without the cancellation that a product of the two would bring."""
+    x, y, z = (some[..., axis, None] - others.mT.contiguous()[:, axis, None] for axis in range(3))
+    return x.square_().addcmul_(y, y).addcmul_(z, z)
 
 
-def _inverse_density(squared: Tensor, known: Tensor, bandwidth: float) -> Tensor:
+def _inverse_density(places: Tensor, known: Tensor, bandwidth: float) -> Tensor:
     """(B, N) in 0 to 1, 1 where a cloud is thinnest; 0 for what is not known. Gaussian kernel density."""
-    # Nothing beside the point itself, which adds 1; below that, exp gives denormal numbers ten times as slowly.
-    kernel = (squared * (-0.5 / bandwidth**2)).clamp_(min=-80).exp_().mul_(known[:, None])
-    inverse = known / kernel.sum(2).clamp(min=1e-6)
+    n_clouds, n_points, _ = places.shape
+    clouds_at_once, rows_at_once = (n_clouds, n_points) if places.is_cuda else (1, max(1, _PAIRS_AT_ONCE // n_points))
+    density = places.new_empty(known.shape)
+    for first in range(0, n_clouds, clouds_at_once):
+        clouds = slice(first, first + clouds_at_once)
+        for row in range(0, n_points, rows_at_once):
+            rows = slice(row, row + rows_at_once)
+            density[clouds, rows] = _kernel_sums(places[clouds, rows], places[clouds], known[clouds], bandwidth)
+    inverse = known / density.clamp(min=1e-6)
     return inverse / inverse.amax(1, keepdim=True).clamp(min=1e-6)
+
+
+def _kernel_sums(rows: Tensor, places: Tensor, known: Tensor, bandwidth: float) -> Tensor:
+    """(B, M) at rows (B, M, 3)."""
+    # Nothing beside the point itself, which adds 1; below that, exp gives denormal numbers ten times as slowly.
+    kernel = _squared_distances(rows, places).mul_(-0.5 / bandwidth**2).clamp_(min=-80).exp_()
+    return kernel.mul_(known[:, None]).sum(2)

@@ -113,7 +113,7 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
     )
     add("--huber-delta", type=float, default=1.0, metavar="ERROR",
         help="error of a coefficient from which the loss is linear in it")  # fmt: skip
-    add("--start", type=Path, metavar="WEIGHTS", help="weights to begin with, an .npz file (lattice); default: random")
+    add("--start", type=Path, metavar="WEIGHTS", help="weights to begin with, an .npz file; default: random")
     add("--start-share", type=float, default=0.0, metavar="SHARE",
         help="share of the weights of --start in the network that is kept")  # fmt: skip
     add("--device", default="cpu", metavar="NAME", help="device that torch trains on, such as cuda")

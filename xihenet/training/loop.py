@@ -66,7 +66,7 @@ class TrainSettings:
     # The logarithm of each light's error in place of Huber's loss, so that halving any error counts alike.
     is_logarithmic: bool = False
     hidden_share: float = 0.3  # share of the training clouds of which a random cap is hidden, see `hide_caps`
-    start: Path | None = None  # weights to begin with, as estimators read them (lattice); None for random ones
+    start: Path | None = None  # weights to begin with, as estimators read them; None for random ones
     start_share: float = 0.0  # of them in the weights that are judged and kept: between both may be better than either
     n_rooms: int | None = None  # train on the clouds of the first rooms alone, for learning curves; None for all
     options: Mapping[str, object] = field(default_factory=dict)  # of the network's architecture
@@ -188,11 +188,11 @@ def _size(light: Tensor) -> Tensor:
 
 def _start_or_resume(settings: TrainSettings) -> _Run:
     torch.manual_seed(settings.seed)
-    sizes = {} if settings.start is None or settings.estimator != "lattice" else networks.sizes_in(settings.start)
+    sizes = {} if settings.start is None else networks.sizes_in(settings.start, settings.estimator)
     options = {**sizes, **networks.options_for(settings.estimator, settings.target), **settings.options}
     net = networks.make_network(settings.estimator, **options).to(settings.device)
     if settings.start is not None:
-        networks.take_weights(net, settings.start)
+        networks.take_weights(net, settings.estimator, settings.start)
     # On a GPU a step of a small network is bound by the number of its kernels: one in place of ten per layer.
     optimiser = torch.optim.AdamW(
         net.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, foreach=False,
@@ -258,7 +258,7 @@ def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, 
     judged_net = run.average
     if settings.start is not None:
         judged_net = copy.deepcopy(run.average)
-        networks.take_weights(judged_net, settings.start, settings.start_share)
+        networks.take_weights(judged_net, settings.estimator, settings.start, settings.start_share)
     light, _ = networks.predict(judged_net, held_out, settings.target, settings.device)
     rmse = float(np.sqrt(np.mean((light - held_out.truth(settings.target)) ** 2, dtype=np.float64)))
     judged = {"validation_rmse": rmse, "validation_ratio": rmse / yardstick}

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from xihenet.codec import facing_of_codes
 from xihenet.estimators.base import Target
 from xihenet.estimators.lattice_format import LatticeArchitecture, load_weights
-from xihenet.estimators.pointconv_network import PointConvArchitecture
+from xihenet.estimators.pointconv_network import PointConvArchitecture, load_pointconv_weights
 from xihenet.estimators.weights_format import NetworkWeights, save_weights
 from xihenet.nets.lattice import LatticeNet
 from xihenet.nets.pointconv import PointConvNet
@@ -63,22 +63,36 @@ def make_network(estimator: str, **options: Any) -> nn.Module:
     return PointConvNet(PointConvArchitecture(**options))
 
 
-def take_weights(net: nn.Module, path: Path, share: float = 1.0) -> None:
-    """Give a lattice network the weights in `path`, an .npz, or a `share` of them beside its own.
+def take_weights(net: nn.Module, estimator: str, path: Path, share: float = 1.0) -> None:
+    """Give a network the weights in `path`, an .npz of the same estimator, or a `share` of them beside its own.
 
     ValueError if they are of another network.
     """
-    stored = load_weights(path)
-    if not isinstance(net, LatticeNet) or stored.architecture != net.architecture:
+    stored = _weights_in(path, estimator)
+    own_sizes: Any = net.architecture
+    if _sizes(stored.architecture) != _sizes(own_sizes):
         raise ValueError(f"{path}: expected weights of a network of the same kind and target")
     with torch.no_grad():
         for name, own in net.state_dict().items():
             own.lerp_(torch.from_numpy(stored.arrays[name]).to(own.device), share)
 
 
-def sizes_in(path: Path) -> dict[str, int]:
-    """Sizes of the lattice network whose weights are in `path`, an .npz; ValueError where it is none."""
-    return {name: size for name, size in asdict(load_weights(path).architecture).items() if name != "opens_clipped"}
+def sizes_in(path: Path, estimator: str) -> dict[str, object]:
+    """Sizes of the network of `estimator` whose weights are in `path`, an .npz; ValueError where it is none."""
+    return {
+        name: size
+        for name, size in _sizes(_weights_in(path, estimator).architecture).items()
+        if name != "opens_clipped"
+    }
+
+
+def _weights_in(path: Path, estimator: str) -> NetworkWeights[Any]:
+    return load_weights(path) if estimator == "lattice" else load_pointconv_weights(path, estimator)
+
+
+def _sizes(architecture: Any) -> dict[str, object]:
+    """All of an architecture but in what precision it is trained."""
+    return {name: size for name, size in asdict(architecture).items() if name != "is_bfloat16_in_training"}
 
 
 def options_for(estimator: str, target: Target) -> dict[str, object]:
