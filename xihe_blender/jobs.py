@@ -131,19 +131,20 @@ def interrupted_between_steps() -> Iterator[Callable[[], bool]]:
 
     Off the main thread Python allows no signal handlers; the function then always says no.
     """
-    pressed = threading.Event()
+    # No threading.Event: a second signal while the first one sets it would wait for its lock for ever.
+    pressed: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield pressed.is_set
+        yield lambda: False
         return
 
-    def remember(_signal: int, _frame: FrameType | None) -> None:
-        if pressed.is_set():
+    def remember(number: int, _frame: FrameType | None) -> None:
+        if pressed:
             raise KeyboardInterrupt
-        pressed.set()
+        pressed.append(number)
 
     before = signal.signal(signal.SIGINT, remember)
     try:
-        yield pressed.is_set
+        yield lambda: bool(pressed)
     finally:
         # None: whole Blender had set a handler of its own in C, which Python cannot put back.
         signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -109,6 +111,38 @@ def test_a_second_ctrl_c_does_not_wait_for_the_step():
     with pytest.raises(KeyboardInterrupt):
         run_blocking(count_to(5, log, press_twice))
     assert log == [0, 1, "closed"]
+
+
+# In a process of its own, since what goes wrong here waits for ever.
+TWICE_AT_ONCE = """
+import os, signal, sys
+from xihe_blender.jobs import Progress, run_blocking
+
+def job(line):
+    seen = [0]
+    def press_at_the_line(frame, event, _):
+        seen[0] += event == "line"
+        if seen[0] == line:
+            sys.settrace(None)
+            os.kill(os.getpid(), signal.SIGINT)
+        return press_at_the_line
+    yield Progress(0, 1, "")
+    sys.settrace(press_at_the_line)
+    os.kill(os.getpid(), signal.SIGINT)
+    sys.settrace(None)
+    yield Progress(1, 1, "")
+
+for line in range(1, 30):
+    try:
+        run_blocking(job(line))
+    except KeyboardInterrupt:
+        print(line)
+"""
+
+
+def test_a_second_ctrl_c_while_the_first_one_is_remembered_ends_the_job_too():
+    said = subprocess.run([sys.executable, "-c", TWICE_AT_ONCE], capture_output=True, timeout=60, check=True).stdout
+    assert said.split() == [b"%d" % line for line in range(1, 30)]
 
 
 def test_an_error_in_a_step_comes_out_as_it_is_and_closes_the_job():

@@ -312,7 +312,7 @@ OTHER_SIZES = [
 
 @pytest.mark.parametrize(("estimator", "other_sizes"), OTHER_SIZES)
 def test_a_training_begins_with_other_weights_and_keeps_a_share_of_them(caches, tmp_path, estimator, other_sizes):
-    first = train(quick(caches["sphere"], tmp_path / "first", estimator=estimator, options=other_sizes))
+    first = train(quick(caches["sphere"], tmp_path / "first", estimator=estimator, options=other_sizes, epochs=1))
     export_network(first, tmp_path / "start.npz", is_half=False)
     start = weights(tmp_path / "first" / "best.pt")
     begun = {"estimator": estimator, "start": tmp_path / "start.npz", "epochs": 1}

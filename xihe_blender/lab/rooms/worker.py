@@ -10,7 +10,6 @@ import argparse
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -46,10 +45,11 @@ def main() -> int:
     # Ctrl-C reaches the whole group of processes; the build decides what it means. Told to end, finish the room:
     # a process that dies while Cycles renders leaves its temporary files behind.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda _signal, _frame: stop.set())
+    # No threading.Event: told once more while it is set, the process would wait for its lock for ever.
+    told: list[int] = []
+    signal.signal(signal.SIGTERM, lambda number, _frame: told.append(number))
     try:
-        make_rooms(options, stop.is_set)
+        make_rooms(options, lambda: bool(told))
     except (UserError, OSError) as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2
