@@ -147,7 +147,7 @@ class XIHE_OT_remove_old_runs(Action, bpy.types.Operator):
     bl_label = "Remove Old Runs"
     bl_description = (
         "Delete the folders of all runs from the panel but those that the open file shows. "
-        "Light on the timeline and pictures stay in the files they were saved in"
+        "Other files that show them keep their light, but lose reflections, the frames behind Xihe Lit, and the report"
     )
     conditions = (polls.is_idle, polls.has_old_runs)
 
