@@ -12,11 +12,11 @@ from previs_runs import DRAFT, N_FRAMES, QuickProbes, run, walk
 from renders import pixels_of_file
 from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed, shown_light
-from tiny_scenes import material, saved, sphere
+from tiny_scenes import material, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
-from xihe_blender.apply.datablocks import LIT_SCENE, has_anything, lit_scene
-from xihe_blender.apply.lit_scene import CapturedFrames
+from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, has_anything, lit_scene
+from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, remove_lit_scene, set_up_lit_scene
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import light_of_change
@@ -46,6 +46,21 @@ def ran(tmp_path_factory):
     results = run(scene, out, SETTINGS)
     saved(out / "after.blend")
     return Ran(out, results, before)
+
+
+@pytest.mark.parametrize("name", ["Room lamp", "Room", "Xihe Lit Room", "Xihe Phone"])
+def test_a_virtual_object_called_as_what_stands_for_the_room_stays_when_the_scene_goes(name):
+    scene = room_with_a_virtual_sphere()
+    ball = next(iter(virtual_collection(scene).objects))
+    ball.name = name
+    before = snapshot()
+    lit = bpy.data.scenes.new(LIT_SCENE)
+    lit[ROOM] = scene
+    set_up_lit_scene(lit, [ball], {"Ball": (ball.name, bpy.data.worlds[0])})
+    hide_behind_room(lit, scene, [ball])
+    assert "Xihe Lit Table" in lit.objects
+    remove_lit_scene()
+    assert differences(before, snapshot()) == ({}, [])
 
 
 def opened(path):

@@ -26,8 +26,8 @@ from xihe_blender.scene.phone_capture import CAPTURE, SCAN
 PHONE = "Xihe Phone"
 """Begins the names of the copied cameras."""
 
-ROOM_COPIES = f"{LIT_SCENE} Room"
-"""Collection of what holds out in front of the objects."""
+ROOM_COPY = "xihe_room_copy"
+"""Custom property of what holds out in front of the objects. A name would not do: a user's object may have it."""
 
 _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "CURVES", "POINTCLOUD")
 _RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
@@ -100,7 +100,7 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
 
     Metaballs, volumes, and copies that an object makes of its children, are not among them.
     """
-    holder, has_catchers = bpy.data.collections.new(ROOM_COPIES), bool(shadow_catchers(lit))
+    holder, has_catchers = bpy.data.collections.new(f"{LIT_SCENE} Room"), bool(shadow_catchers(lit))
     for item in dict.fromkeys(_seen_in(room.view_layers[0].layer_collection)):
         is_solid = item.type in _SOLID or item.instance_type == "COLLECTION"
         if SCAN in item and has_catchers:  # It is a catcher there, which would catch no shadow behind a copy.
@@ -108,6 +108,7 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
         if is_solid and item.visible_camera and not item.is_holdout and item not in objects:
             copied = item.copy()
             copied.name, copied.is_holdout = f"{LIT_SCENE} {item.name}", True
+            copied[ROOM_COPY] = True
             copied.is_shadow_catcher &= SCAN not in item
             for ray in _RAYS:
                 setattr(copied, f"visible_{ray}", False)
@@ -210,9 +211,7 @@ def remove_lit_scene() -> None:
                 window.scene = room
     remove_shadow_catchers(shadow_catchers(lit))
     own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None)}
-    for collection in lit.collection.children:
-        if collection.name.startswith(ROOM_COPIES):
-            own |= set(collection.objects)
+    own |= {item for item in lit.objects if ROOM_COPY in item}
     for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
         own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
     bpy.data.scenes.remove(lit)
