@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -70,7 +71,7 @@ def save_frame(path: Path, frame: RgbdFrame) -> None:
         header["whiteBalance"] = frame.white_balance
     if frame.invalid:
         header["invalid"] = ", ".join(f"{reason} {n}" for reason, n in frame.invalid.items())
-    beside = path.with_name(f".{path.name}.part")
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         compression = "none" if frame.plane_depth_m.size <= MOST_PLAIN_PIXELS else "ZIP"
         write_exr(beside, channels, compression=compression, attributes=header)
@@ -261,7 +262,7 @@ def _texts(content: Mapping[str, Any], name: str) -> tuple[str, ...]:
 
 def write_session(folder: Path, facts: SessionFacts) -> None:
     """Write session.json, whole or not at all. OSError if it cannot be written."""
-    path, beside = folder / SESSION_FILE, folder / f".{SESSION_FILE}.part"
+    path, beside = folder / SESSION_FILE, folder / f".{SESSION_FILE}.{os.getpid()}.part"
     try:
         beside.write_text(json.dumps(session_as_json(facts), indent=1, allow_nan=False) + "\n", encoding="utf-8")
         beside.replace(path)

@@ -16,7 +16,7 @@ from previs_runs import counted_renders
 from results_schema import SCHEMA
 from tiny_scenes import box, empty_scene
 
-from addon_tests.pure.recordings import HALF, LAYOUTS, looking, seen, walk
+from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, looking, seen, walk
 from xihe_blender.addon.panels import result_rows
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit, show_results
 from xihe_blender.apply.sh_worlds import f_curves
@@ -280,17 +280,30 @@ PLAIN = (bool, int, float, str, bpy.types.Object, bpy.types.World)
         (lambda folder: folder.mkdir(), "holds no recording that is known"),
         (lambda folder: (folder.mkdir(), (folder / "session.json").write_text("{")), "session.json"),
         (lambda folder: break_a_frame(recorded(folder, walk(OFF_CENTRE))), "frame_000003.exr"),
+        (lambda folder: break_the_last_depth(as_nerfstudio(folder, standing_still(OFF_CENTRE))), "depth.*png"),
     ],
 )
 def test_what_cannot_be_read_is_said_in_one_line_and_leaves_nothing(tmp_path, make, said):
     make(tmp_path / "walk")
     scene = empty_scene()
+    before = settings_of(scene)
     with pytest.raises(UserError, match=said) as caught:
         run_blocking(import_capture(scene, ChosenCapture(tmp_path / "walk")))
     assert "\n" not in str(caught.value)
-    assert not scene.objects and not bpy.data.collections and not bpy.data.meshes
+    assert not scene.objects and not bpy.data.collections and not bpy.data.meshes and settings_of(scene) == before
     assert remembered_capture(scene) is None
     assert not list(tmp_path.glob("*footage*"))
+
+
+def standing_still(k):
+    """The last frames show nothing new: they are not scanned, and their pictures are linked as they are."""
+    first = walk(k)[0]
+    return [replace(first, frame=1 + i, time_s=i / 30) for i in range(4)]
+
+
+def break_the_last_depth(folder):
+    path = max(path for path in folder.rglob("*.png") if "depth" in str(path))
+    path.write_bytes(path.read_bytes()[:-200])
 
 
 def break_a_frame(folder):

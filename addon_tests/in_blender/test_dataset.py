@@ -17,7 +17,7 @@ from xihe_process import ROOT
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms import render_room
-from xihe_blender.lab.rooms.build import BuildSettings, build_dataset, missing_rooms
+from xihe_blender.lab.rooms.build import LEFT_BEHIND_S, BuildSettings, build_dataset, missing_rooms, write_manifest
 from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.contact_sheet import contact_sheet
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
@@ -266,6 +266,16 @@ def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path, monkey
     assert not killed
     assert missing_rooms(tmp_path, range(30))
     assert not list(tmp_path.glob(".room_*"))
+
+
+def test_what_a_killed_worker_left_is_cleared_and_what_one_is_writing_is_not(tmp_path):
+    left, written = (tmp_path / f".room_00000{k}.99.npz" for k in (1, 2))
+    for path in (left, written):
+        path.touch()
+    long_ago = time.time() - LEFT_BEHIND_S - 1
+    os.utime(left, (long_ago, long_ago))
+    write_manifest(tmp_path, small_build(3).provenance)
+    assert written.exists() and not left.exists()
 
 
 def test_a_process_that_does_not_end_when_told_to_is_killed(monkeypatch):

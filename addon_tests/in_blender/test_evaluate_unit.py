@@ -1,6 +1,7 @@
 """One scene and one seed of a batch: a room is rendered once, and a trial has the numbers of a run of its own."""
 
 import contextlib
+import io
 from dataclasses import replace
 
 import pytest
@@ -8,8 +9,12 @@ from previs_runs import N_FRAMES, counted_renders, files_below, run, walk
 from tiny_scenes import saved
 
 from xihe_blender.apply.datablocks import LIT_SCENE
+from xihe_blender.io.json_records import as_json
+from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.batch.blender_process import write_result
 from xihe_blender.lab.batch.grid import BatchSettings
+from xihe_blender.lab.batch.results import read_result, result_file
 from xihe_blender.lab.batch.unit import evaluate_unit
 from xihe_blender.scene.blend_file import open_blend
 
@@ -68,6 +73,13 @@ def test_a_trial_has_the_numbers_of_a_run_of_its_own_and_all_trials_render_no_mo
     own = alone["comparison"]["projection"]
     assert {metric: getattr(trial, metric) for metric in own} == pytest.approx(own, rel=1e-5)
     assert renders_of_the_room(of_unit) == renders_of_the_room(of_run) and len(of_run) > N_FRAMES
+
+
+def test_a_unit_that_a_scheduler_finished_meanwhile_is_not_made_again(tmp_path, whole):
+    write_json(result_file(tmp_path), as_json(whole[0]))
+    (tmp_path / "work").mkdir()
+    write_result(tmp_path / "gone.blend", SEED, tmp_path, SMALL, io.StringIO())
+    assert read_result(tmp_path) == whole[0] and (tmp_path / "work").is_dir()
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ class XIHE_OT_measure_budget(Measuring, bpy.types.Operator):
 
     def finish(self, context: bpy.types.Context, result: tuple[Path, BudgetResults]) -> set[str]:
         folder, budget = result
-        context.scene.xihe.budget_folder = str(folder)
+        self.scene.xihe.budget_folder = str(folder)
         for item in budget.objects:
             self.report({"INFO"}, item.advice)
         return {"FINISHED"}

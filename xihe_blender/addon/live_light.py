@@ -38,24 +38,26 @@ Places = Mapping[str, "Mapping[str, ArrayF64]"]
 
 
 class KeptFrames:
-    """The session of the last run that light was estimated from, kept until another run is shown."""
+    """The session of the last run that light was estimated from, kept until another run is shown.
+
+    One at a time: the window's own thread and another may ask for different runs.
+    """
 
     def __init__(self) -> None:
-        self.folder: Path | None = None
-        self.session: KeptSession | None = None
+        self._at_work = threading.Lock()
+        self._kept: tuple[Path, KeptSession] | None = None
 
     def find_light(self, folder: Path, places: Places) -> dict[str, dict[str, FoundLight]]:
         """By virtual object and position, from the run in `folder`. UserError where its frames are gone."""
         from xihe_blender.previs.kept_session import open_kept_session
 
-        if self.session is None or self.folder != folder:
-            self.session = None
-            self.session, self.folder = run_blocking(open_kept_session(folder)), folder
-            run_blocking(self.session.find_light({}))  # Loads the estimator.
-        return {name: run_blocking(self.session.find_light(of_object)) for name, of_object in places.items()}
-
-    def forget(self) -> None:
-        self.session = None
+        with self._at_work:
+            if self._kept is None or self._kept[0] != folder:
+                self._kept = None
+                self._kept = folder, run_blocking(open_kept_session(folder))
+                run_blocking(self._kept[1].find_light({}))  # Loads the estimator.
+            session = self._kept[1]
+            return {name: run_blocking(session.find_light(of_object)) for name, of_object in places.items()}
 
 
 _kept = KeptFrames()
@@ -120,7 +122,7 @@ class Task(threading.Thread):
 
     def __init__(self, folder: Path, places: Places) -> None:
         super().__init__(daemon=True)
-        self.folder, self.places = folder, places
+        self.folder, self.places, self.kept = folder, places, _kept
         self.found: dict[str, dict[str, FoundLight]] | None = None
         self.error: Exception | None = None
 
@@ -129,7 +131,7 @@ class Task(threading.Thread):
             # With what will show it: the window would wait for the import.
             import xihe_blender.addon.results_in_blender  # noqa: F401
 
-            self.found = _kept.find_light(self.folder, self.places)
+            self.found = self.kept.find_light(self.folder, self.places)
         except Exception as error:  # noqa: BLE001 - raised in the main thread, which tells the user's from ours
             self.error = error
 
@@ -211,9 +213,9 @@ def _after_undo(*_: Any) -> None:
 
 @bpy.app.handlers.persistent
 def _after_load(*_: Any) -> None:
-    global _task
-    _task = None
-    _kept.forget()
+    global _task, _kept
+    # A thread that is still at work goes on with the old ones, which go with it.
+    _task, _kept = None, KeptFrames()
 
 
 def _handlers() -> list[tuple[list[Any], Any]]:

@@ -137,6 +137,9 @@ class ModalJob:
     is_modal = False
     """Whether a window comes back to the job, or the caller waits for its end."""
 
+    scene: bpy.types.Scene
+    """The scene that the job began with; its window may show another one by the time it ends."""
+
     report: Callable[[set[str], str], None]
     """Of bpy.types.Operator."""
 
@@ -155,11 +158,12 @@ class ModalJob:
         """Start the job and come back to it a step at a time."""
         if bpy.app.background:
             return self.execute(context)
-        self.is_modal = True
+        self.is_modal, self.scene = True, context.scene
         try:
             self.run = RunUnderWay(context, self.start_job(context), works_here=self.works_here)
             # What is wrong with the scene shows at once; and a job that has begun cleans up when it is closed.
-            self.run.step()
+            if self.run.step():
+                return self.finish(context, self.run.result)
         except FAILURES as error:
             return failed(self, context, error)
         self.input_at = self.stepped_at = time.perf_counter()
@@ -186,6 +190,7 @@ class ModalJob:
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """The whole job, and only then back."""
+        self.scene = context.scene
         try:
             self.run = RunUnderWay(context, self.start_job(context))
             while not self.run.step():

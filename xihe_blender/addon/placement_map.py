@@ -66,7 +66,7 @@ class XIHE_OT_map_places(polls.Conditional, ModalJob, bpy.types.Operator):
         wanted = PlacementSettings(height_m=chosen.map_height_m if chosen.maps_air else None)
 
         def job() -> Job[Any]:
-            session = yield from open_kept_session(last_run_folder(context.scene))
+            session = yield from open_kept_session(last_run_folder(self.scene))
             return wanted, (yield from map_places(session, wanted))
 
         return job()
@@ -75,7 +75,7 @@ class XIHE_OT_map_places(polls.Conditional, ModalJob, bpy.types.Operator):
         from xihe_blender.apply.placement_map import show_placement_map
 
         wanted, mapped = result
-        scene = context.scene
+        scene = self.scene
         clearance_m = wanted.clearance_m if wanted.height_m is None else 0.0
         show_placement_map(
             scene, mapped.places, spacing_m=mapped.spacing_m, clearance_m=clearance_m, folder=last_run_folder(scene)

@@ -46,7 +46,7 @@ class Following(ModalJob):
 
     def finish(self, context: bpy.types.Context, result: None) -> set[str]:
         run = self.background
-        chosen = (context.scene if run is None else bpy.data.scenes[run.request.scene]).xihe
+        chosen = (self.scene if run is None else bpy.data.scenes[run.request.scene]).xihe
         chosen.run_folder, chosen.run_made_of = str(self.folder), ""
         if run is not None and run.is_edited:
             chosen.run_made_of = time.strftime("%H:%M", time.localtime(run.request.started))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -136,12 +136,15 @@ def import_capture(
         footage = Footage(pictures, numbered)
         scan, first = yield from _read(capture, numbered, footage)
         yield Progress(len(numbered), len(numbered) + 1, "making the mesh")
+        with said_in_one_line():
+            doubt = suspicion(capture)
+        notes = capture.notes if doubt is None else (*capture.notes, doubt)
         imported = _build(scene, capture, numbered, footage, scan, first, blend_folder)
     except BaseException:
         shutil.rmtree(pictures, ignore_errors=True)
         raise
     remember_capture(scene, chosen, blend_folder)
-    return imported
+    return replace(imported, said=(*imported.said, *notes))
 
 
 def _read(capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Footage) -> Job[tuple[Scan, RgbdFrame]]:
@@ -189,10 +192,7 @@ def _build(
     elif mesh.is_cut:
         said.append("The scan ends where it had grown too large.")
     said.append(f"Pictures are in {footage.folder}.")
-    with said_in_one_line():
-        doubt = suspicion(capture)
-    notes = capture.notes if doubt is None else (*capture.notes, doubt)
-    return ImportedCapture(collection, camera, scanned, looked_at, footage.folder, (*said, *notes))
+    return ImportedCapture(collection, camera, scanned, looked_at, footage.folder, tuple(said))
 
 
 def _play(

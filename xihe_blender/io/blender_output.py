@@ -22,7 +22,8 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
     aside = os.dup(2) if os.environ.get("XIHE_VERBOSE") else os.open(os.devnull, os.O_WRONLY)
     os.dup2(aside, 1)
     os.dup2(aside, 2)
-    streams = [os.fdopen(descriptor, "w", closefd=False) for descriptor in real]
+    # A name may hold what the terminal has no sign for: it is not worth the end of a run.
+    streams = [os.fdopen(descriptor, "w", closefd=False, errors="backslashreplace") for descriptor in real]
     try:
         yield streams[0], streams[1]
     finally:

@@ -69,6 +69,8 @@ def serve_by_workers(
         except KeyboardInterrupt:
             log_event("stopping all", workers=len(workers))
         finally:
+            for number in (signal.SIGINT, signal.SIGTERM):  # Told once more, it would leave its workers behind.
+                signal.signal(number, signal.SIG_IGN)
             _end(workers)
 
 
@@ -78,7 +80,7 @@ def _started(inference: Inference, settings: ServerSettings, log_to: int) -> tup
 
     context = multiprocessing.get_context("spawn")
     ready, told = context.Pipe(duplex=False)
-    worker = context.Process(target=_work, args=(inference, settings, told, DupFd(log_to)))
+    worker = context.Process(target=_work, args=(inference, settings, told, DupFd(log_to)), daemon=True)
     worker.start()
     told.close()  # So that `ready` ends with the worker.
     return worker, ready

@@ -24,7 +24,7 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Progress, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.results import result_file
+from xihe_blender.lab.batch.results import read_result, result_file
 from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 
 
@@ -43,12 +43,17 @@ def main() -> int:
 
 
 def write_result(scene: Path, seed: int, folder: Path, settings: BatchSettings, shares: IO[str]) -> None:
-    """Evaluate the unit and leave its result, and the pictures of worst frames, in its folder; tell `shares`."""
+    """Evaluate the unit and leave its result, and the pictures of worst frames, in its folder; tell `shares`.
+
+    Nothing is done where the result is there: a scheduler may still have finished it for a batch that was stopped.
+    """
     from xihe_blender.lab.batch.unit import evaluate_unit
 
     def tell(progress: Progress, _elapsed_s: float) -> None:
         print(f"{progress.done / progress.total:.4f}", file=shares, flush=True)
 
+    if read_result(folder) is not None:
+        return
     result_file(folder).unlink(missing_ok=True)  # One that is damaged: should this one fail, nobody reads it again.
     done = run_blocking(evaluate_unit(scene, folder, settings, seed), tell)
     write_json(result_file(folder), as_json(done))

@@ -189,6 +189,11 @@ def result_file(unit_folder: Path) -> Path:
     return unit_folder / "result.json"
 
 
+def read_result(unit_folder: Path) -> UnitResult | None:
+    """What a unit came to; None if it is not done, or its file is damaged."""
+    return kept_json(result_file(unit_folder), lambda content: from_json(UnitResult, content))
+
+
 def worst_picture(folder: Path, trial: int, kind: str) -> Path:
     """Where the picture of a trial's worst frame is: one of WORST_KINDS; trials go by number."""
     return folder / f"worst_{trial}_{kind}.png"
@@ -210,8 +215,8 @@ class BatchFolder:
         return self.path / "units" / unit.name
 
     def result(self, unit: Unit) -> UnitResult | None:
-        """What the unit came to; None if it is not done, or its file is damaged."""
-        return kept_json(result_file(self.of_unit(unit)), lambda content: from_json(UnitResult, content))
+        """As `read_result`."""
+        return read_result(self.of_unit(unit))
 
     def manifest(self, settings: BatchSettings) -> FolderManifest:
         """That the folder is for such a batch. Scenes and seeds may be others."""

@@ -29,6 +29,7 @@ from xihenet.child_processes import n_cores
 from xihenet.training.rooms import SPLITS, Split, split_of
 
 POLL_S = 0.25
+LEFT_BEHIND_S = 600.0  # A room is written in a second.
 MAX_ROOMS = 1_000_000
 MAX_WALK = 240
 MIN_VIEWS, MAX_VIEWS = 5, 50
@@ -131,10 +132,15 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
 
 
 def write_manifest(folder: Path, provenance: dict[str, Any]) -> None:
-    """Write what the data set is made with, or check that it is what is there; clear what killed workers left."""
+    """Write what the data set is made with, or check that it is what is there; clear what killed workers left.
+
+    What was written a moment ago may be a worker's of another build that goes on.
+    """
     FolderManifest(folder, folder / MANIFEST, "rooms", {**provenance, NOT_COMPARED: f"xihe {__version__}"}).take()
     for part in folder.glob(".room_*.npz"):
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            if time.time() - part.stat().st_mtime > LEFT_BEHIND_S:
+                part.unlink()
 
 
 def missing_rooms(folder: Path, wanted: Iterable[int]) -> list[int]:

@@ -64,7 +64,6 @@ def add_scene(
     positions_m = scene_positions(scene, chosen, at)
     shared = {"render": list(settings.numbers), "noise_target": settings.noise_target, "metering": store.METERING}
     write_manifest(folder, {"format": store.FORMAT_VERSION, "scenes": True, **shared})
-    path = store.room_path(folder, _place_for(folder, name))
     total = len(chosen) + len(positions_m) + 1
     with scene_kept():
         yield Progress(0, total, "metering")
@@ -81,6 +80,7 @@ def add_scene(
             yield Progress(len(pictures) + len(lights), total, f"{len(lights)} of {len(positions_m)} positions")
         room = stored_room(pictures, exposure, positions_m, np.stack(is_unhidden), lights,
                            seed=(SCENE_SEED, zlib.crc32(name.encode())), kind=name, regime=SCENE_REGIME)  # fmt: skip
+        path = store.room_path(folder, _place_for(folder, name))  # Only now: others may have added theirs meanwhile.
         store.save_room(path, room)
     yield Progress(total, total, f"{path.name} written")
     return path
