@@ -125,7 +125,7 @@ def test_times_become_whole_frames():
 # --------------------------------------------------------------------------------------------------------------- scan
 
 
-def test_the_scan_lies_on_the_walls_and_faces_the_room(tmp_path):
+def test_the_scan_lies_on_the_walls_faces_the_room_and_has_the_colours_that_were_seen(tmp_path):
     _, made, _ = imported(tmp_path, walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0), 12))
     mesh = made.scan.data
     points = np.array([tuple(vertex.co) for vertex in mesh.vertices])
@@ -139,12 +139,6 @@ def test_the_scan_lies_on_the_walls_and_faces_the_room(tmp_path):
     assert floor.sum() > 500
     assert normals[floor].mean(axis=0) == pytest.approx((0, 0, 1), abs=0.02)
     assert made.scan.is_shadow_catcher
-
-
-def test_the_scan_has_the_colours_that_were_seen(tmp_path):
-    _, made, _ = imported(tmp_path, walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0), 12))
-    mesh = made.scan.data
-    points = np.array([tuple(vertex.co) for vertex in mesh.vertices])
     colours = np.array([tuple(colour.color_srgb)[:3] for colour in mesh.color_attributes[0].data]) * 255
     wall = (np.abs(points[:, 0] - HALF[0]) < 0.01) & (np.abs(points[:, 1]) < 1.2) & (np.abs(points[:, 2]) < 0.9)
     assert wall.sum() > 500
@@ -186,7 +180,11 @@ def test_the_recordings_own_images_are_shown_where_it_has_some(tmp_path):
     assert any("30 frames a second are assumed" in sentence for sentence in made.said)
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
+IMPORTED = ("7-Scenes", "Nerfstudio", "Polycam", "Record3D, upright", "Stray Scanner")
+
+
+# That every layout is read as it was seen is tested in `pure/test_captures.py`.
+@pytest.mark.parametrize("name", [*IMPORTED, "plain folder, upright, poses in files"])
 def test_every_kind_of_recording_becomes_a_scan_with_gravity_down(tmp_path, name):
     layout, k = LAYOUTS[name]
     scene, path = empty_scene(), layout(tmp_path / "scan", walk(k))
@@ -494,6 +492,7 @@ def test_a_recording_with_a_lens_off_centre_is_composited_where_it_should(record
 
 
 SMALL = Intrinsics(32, 24, 25.0, 25.0, 16.0, 12.0)
+SCAN, FEW_FACES = "xihe_blender.footage.import_capture.Scan", partial(Scan, settings=ScanSettings(voxel_m=0.06))
 
 
 def scene_of(recording, folder):
@@ -501,7 +500,7 @@ def scene_of(recording, folder):
     scene = empty_scene()
     folder.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("xihe_blender.footage.import_capture.Scan", partial(Scan, settings=ScanSettings(voxel_m=0.06)))
+        patch.setattr(SCAN, FEW_FACES)
         run_blocking(import_capture(scene, ChosenCapture(recording), blend_folder=folder))
     with_a_pillar(scene)
     return scene
@@ -572,10 +571,11 @@ def test_the_operator_imports_and_undo_takes_it_back(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd):
-    recording, blend = recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path / "room.blend"
+def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd, monkeypatch):
+    recording, blend = recorded(tmp_path / "walk", lamp_walk(SMALL, 4)), tmp_path / "room.blend"
+    monkeypatch.setattr(SCAN, FEW_FACES)
     assert main(["import", str(recording), "--out", str(blend)]) == 0
-    assert "Imported 8 frames" in capfd.readouterr().out
+    assert "Imported 4 frames" in capfd.readouterr().out
     assert main(["import", str(recording), "--out", str(blend)]) == 2
     assert "is there already" in capfd.readouterr().err
     assert main(["import", str(tmp_path), "--out", str(tmp_path / "other.blend")]) == 2
@@ -589,7 +589,7 @@ def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd):
     with_a_pillar(scene)
     bpy.ops.wm.save_mainfile()
     assert main(["previs", str(blend), "--out", str(tmp_path / "out"), "--preset", "draft"]) == 0
-    assert "8 frames" in capfd.readouterr().out
+    assert "4 frames" in capfd.readouterr().out
     assert (tmp_path / "out" / "composited.mp4").exists()
     assert main(["video", str(tmp_path / "out")]) == 2
     assert "composited.mp4" in capfd.readouterr().err
