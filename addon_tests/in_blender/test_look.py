@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import shutil
 from dataclasses import replace
 
 import bpy
@@ -41,6 +42,24 @@ def looked(scene, out, settings=CAPTURED, wishes=None):
     return run_blocking(better_path(scene, out, settings, wishes or LookWishes(), blend_file=out.parent / "room.blend"))
 
 
+def looked_in(folder, room_file, **wishes):
+    """The advice for the room, in the folder `out` of `folder`."""
+    shutil.copy(room_file, folder)
+    return looked(opened(room_file), folder / "out", wishes=LookWishes(**wishes))
+
+
+@pytest.fixture(scope="module")
+def advice(room_file, tmp_path_factory):
+    return looked_in(tmp_path_factory.mktemp("look"), room_file).objects
+
+
+@pytest.fixture(scope="module")
+def verified(room_file, tmp_path_factory):
+    """The folder of a verified advice, which nothing may change, and what it says of objects."""
+    folder = tmp_path_factory.mktemp("verified")
+    return folder / "out", looked_in(folder, room_file, is_verified=True).objects
+
+
 def test_the_advice_is_written_and_leaves_the_scene_as_it_was(scene, out):
     bpy.context.view_layer.update()
     before = snapshot()
@@ -59,36 +78,37 @@ def test_the_advice_is_written_and_leaves_the_scene_as_it_was(scene, out):
     assert unfinished_files(out) == []
 
 
-def test_the_advice_goes_by_what_the_path_has_not_shown(scene, out):
-    (ball,) = looked(scene, out).objects
+def test_the_advice_goes_by_what_the_path_has_not_shown(scene, advice):
+    (ball,) = advice
     # The phone looks down along +Y: what it shows newly is elsewhere.
-    ahead = -np.array(scene.camera.matrix_world)[:3, 2]
+    ahead = -_pose(scene, scene.camera, 1)[:3, 2]
     assert ball.gain > 0.05 and np.array(ball.look.direction) @ ahead < 0.95
     np.testing.assert_allclose(ball.look.place_m, _pose(scene, scene.camera, ball.look.frame)[:3, 3], atol=1e-5)
 
 
-def test_asking_again_costs_no_render(scene, out):
-    first = looked(scene, out, wishes=LookWishes(is_verified=True))
+def test_asking_again_costs_no_render(scene, out, verified):
+    shutil.copytree(verified[0], out)
     kept = files_below(out / "work")
     with counted_renders() as renders:
         again = looked(scene, out, wishes=LookWishes(objects=("Ball",), is_verified=True))
     assert renders == [] and files_below(out / "work") == kept
-    assert again.objects == first.objects
+    assert again.objects == verified[1]
 
 
 @pytest.mark.slow
-def test_a_stopped_advice_leaves_nothing_half_written_and_goes_on(scene, out):
+def test_a_stopped_advice_leaves_nothing_half_written_and_goes_on(scene, out, verified):
     wishes = LookWishes(is_verified=True)
     with contextlib.closing(better_path(scene, out, CAPTURED, wishes, blend_file=out.parent / "room.blend")) as job:
         for progress in job:
             if "rendering a look" in progress.doing and progress.done:
                 break
     assert not (out / "look.json").exists() and unfinished_files(out) == []
-    assert looked(scene, out, wishes=wishes).objects == looked(scene, out.parent / "whole", wishes=wishes).objects
+    assert looked(scene, out, wishes=wishes).objects == verified[1]
 
 
 @pytest.mark.slow
-def test_the_map_needs_no_virtual_object(scene, out):
+def test_the_map_needs_no_virtual_object(scene, out, monkeypatch):
+    monkeypatch.setattr("xihe_blender.previs.better_path.MAP_PLACES", 10)
     bpy.data.objects.remove(bpy.data.objects["Ball"])
     (one,) = looked(scene, out, wishes=LookWishes(is_for_map=True)).objects
     assert one.name == THE_MAP and len(one.positions_m) > 1 and one.look is not None
@@ -128,8 +148,8 @@ def test_a_turned_camera_that_is_not_turned_sees_what_the_phone_sees(scene):
 
 
 @pytest.fixture
-def away(scene, out):
-    return looked(scene, out).objects[0].look
+def away(advice):
+    return advice[0].look
 
 
 def test_the_better_camera_goes_the_path_looks_away_and_comes_back(scene, away):
