@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import shutil
 from dataclasses import replace
 
 import bpy
@@ -54,13 +55,27 @@ def gains(results):
     return {part.name: part.gain for part in item.parts}
 
 
-def test_a_budget_has_every_part_and_leaves_the_scene_as_it_was(tmp_path):
-    scene, out = room_with_a_virtual_sphere(3), tmp_path / "out"
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The folder of a budget, which nothing may change, what it says, and what is different in the scene after it."""
+    scene, out = room_with_a_virtual_sphere(3), tmp_path_factory.mktemp("whole") / "out"
     bpy.context.view_layer.update()
     before = snapshot()
     results = budget(scene, out, NOISY)
     bpy.context.view_layer.update()
-    assert differences(before, snapshot()) == ({}, [])
+    return out, results, differences(before, snapshot())
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """The folder of an undisturbed budget of two seeds, and what it says."""
+    out = tmp_path_factory.mktemp("both")
+    return out, budget(room_with_a_virtual_sphere(2), out, NOISY, n_moments=1, n_seeds=2)
+
+
+def test_a_budget_has_every_part_and_leaves_the_scene_as_it_was(whole):
+    out, results, changed = whole
+    assert changed == ({}, [])
     written = json.loads((out / "budget.json").read_text())
     assert as_json(results) == written and from_json(BudgetResults, written) == results
     (item,) = results.objects
@@ -76,7 +91,8 @@ def test_a_budget_has_every_part_and_leaves_the_scene_as_it_was(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_light_in_force_is_that_of_a_run(tmp_path):
+def test_the_light_in_force_is_that_of_a_run(whole, tmp_path):
+    shutil.copytree(whole[0], tmp_path / "budget")
     scene = room_with_a_virtual_sphere(3)
     (item,) = budget(scene, tmp_path / "budget", NOISY, n_moments=1).objects
     there = run(scene, tmp_path / "run", replace(NOISY, frames=(1, 2, 3)))
@@ -90,7 +106,7 @@ def test_the_light_in_force_is_that_of_a_run(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_budget_that_is_stopped_goes_on_and_a_finished_one_renders_nothing(tmp_path):
+def test_a_budget_that_is_stopped_goes_on_and_a_finished_one_renders_nothing(both, tmp_path):
     scene, out = room_with_a_virtual_sphere(2), tmp_path / "out"
     with contextlib.closing(error_budget(scene, out, NOISY, n_moments=1, n_seeds=2)) as job:
         progress = next(job)
@@ -101,15 +117,14 @@ def test_a_budget_that_is_stopped_goes_on_and_a_finished_one_renders_nothing(tmp
     with counted_renders() as renders:
         assert budget(scene, out, NOISY, n_moments=1, n_seeds=2).objects == resumed.objects
     assert renders == [] and files_below(out / "work") == kept
-    assert budget(scene, tmp_path / "whole", NOISY, n_moments=1, n_seeds=2).objects == resumed.objects
+    assert resumed.objects == both[1].objects
 
 
 @pytest.mark.slow
-def test_a_budget_is_the_mean_over_its_seeds_and_says_how_sure_each_part_is(tmp_path):
+def test_a_budget_is_the_mean_over_its_seeds_and_says_how_sure_each_part_is(both, tmp_path):
     scene = room_with_a_virtual_sphere(2)
-    both = budget(scene, tmp_path / "both", NOISY, n_moments=1, n_seeds=2)
     each = [budget(scene, tmp_path / f"{seed}", replace(NOISY, seed=seed), n_moments=1) for seed in (0, 1)]
-    (item,), singles = both.objects, [one.objects[0] for one in each]
+    (item,), singles = both[1].objects, [one.objects[0] for one in each]
     assert item.error == pytest.approx(np.mean([one.error for one in singles]))
     for place, part in enumerate(item.parts):
         of_seeds = [one.parts[place].gain for one in singles]
@@ -117,7 +132,7 @@ def test_a_budget_is_the_mean_over_its_seeds_and_says_how_sure_each_part_is(tmp_
         if part.state == "measured":
             assert sum(part.interval) / 2 == pytest.approx(part.gain)
             assert part.interval[1] - part.gain == pytest.approx(12.706 * abs(of_seeds[0] - of_seeds[1]) / 2)
-    page = (tmp_path / "both" / "report.html").read_text()
+    page = (both[0] / "report.html").read_text()
     assert page.count('class="interval"') == len(PARTS) - 2
     assert 'class="interval"' not in (tmp_path / "0" / "report.html").read_text()
 
