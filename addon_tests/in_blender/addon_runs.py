@@ -1,10 +1,11 @@
 """The add-on registered for a test, with preferences, and a run from its panel on the tiny room."""
 
 import contextlib
+import shutil
 
 import bpy
 import pytest
-from previs_runs import SMALL, QuickPrevis, run, walk
+from previs_runs import QuickPrevis, run, walk
 from tiny_scenes import saved
 
 from xihe_blender import addon
@@ -58,14 +59,18 @@ def walk_for_the_panel(runs_folder, **settings):
     return scene
 
 
-def lit_walk(out, settings=SMALL):
-    """`out`, with a small run of `walk`, and `after.blend`, which shows its light. For a registered add-on."""
-    from xihe_blender.addon.results_in_blender import show_results
+def lit_walk(out, settings=None, *, finished=None):
+    """`out`, with a run of `walk` or a copy of one; its `after.blend` shows the light. For a registered add-on."""
+    from xihe_blender.addon.results_in_blender import apply_results, show_results
 
     scene = walk()
-    run(scene, out, settings)
+    if finished is None:
+        run(scene, out, settings)
+        show_results(scene, out)
+    else:
+        shutil.copytree(finished.outputs.folder, out)
+        apply_results(scene, out)
     scene.xihe.run_folder = str(out)
-    show_results(scene, out)
     saved(out / "after.blend")
     return out
 

@@ -30,8 +30,8 @@ def addon():
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory):
-    return lit_walk(tmp_path_factory.mktemp("live") / "out")
+def ran(finished, tmp_path_factory):
+    return lit_walk(tmp_path_factory.mktemp("live") / "out", finished=finished)
 
 
 @pytest.fixture

@@ -21,8 +21,8 @@ def addon():
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory):
-    return lit_walk(tmp_path_factory.mktemp("look") / "out")
+def ran(finished, tmp_path_factory):
+    return lit_walk(tmp_path_factory.mktemp("look") / "out", finished=finished)
 
 
 @pytest.fixture

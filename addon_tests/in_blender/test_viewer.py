@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 import pytest
 from addon_runs import registered_addon
-from previs_runs import SMALL, run, walk
+from previs_runs import walk
 
 from xihe_blender.addon.result_operators import viewer_of_run
 from xihe_blender.apply.datablocks import LightOf
@@ -29,10 +29,9 @@ from xihenet.recording import load_frame
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
+def done(finished, tmp_path_factory):
     """A run's folder, and its page."""
-    folder = tmp_path_factory.mktemp("viewer")
-    run(walk(), folder, SMALL)
+    folder = shutil.copytree(finished.outputs.folder, tmp_path_factory.mktemp("viewer") / "out")
     assert main(["export", str(folder / "results.json"), "--to", "viewer"]) == 0
     return folder, (folder / "viewer.html").read_text(encoding="utf-8")
 
