@@ -24,6 +24,7 @@ SMALL = BatchSettings(
     phones=("perfect", "ipad_pro_lidar"),
     size=(24, 18),
     samples=1,
+    frames=(1, 3, 4, 5),
     light="sh+key+reflections",
 )
 
