@@ -125,7 +125,7 @@ def test_a_render_result_that_was_there_stays():
 def test_the_scene_is_as_it_was_after_runs_and_after_what_they_added_is_removed(tmp_path):
     scene = lived_in_scene()
     before = snapshot()
-    run(scene, tmp_path / "first")
+    run(scene, tmp_path / "first", replace(SMALL, frames=(1, 3, 4)))
     assert_kept(before)
     once = data_blocks(snapshot())
     assert once >= {"worlds/Xihe Ball", "worlds/Xihe Board", "node_groups/Xihe SH Radiance"}
@@ -149,11 +149,12 @@ def test_the_scene_is_as_it_was_after_a_stop(tmp_path, n_steps):
 def test_the_scene_is_as_it_was_after_an_error(tmp_path, place):
     scene = lived_in_scene()
     before = snapshot()
-    run_some_steps(scene, tmp_path, 2, SHORT)
+    one_frame = replace(SHORT, frames=(1,))
+    run_some_steps(scene, tmp_path, 2, one_frame)
     in_the_way = tmp_path / place
     # A folder where a file belongs, or the other way round: neither can be written.
     in_the_way.mkdir() if in_the_way.suffix else in_the_way.write_text("in the way")
     with pytest.raises(OSError, match=in_the_way.name):
-        run(scene, tmp_path, SHORT)
+        run(scene, tmp_path, one_frame)
     assert_kept(before)
     assert not (tmp_path / "results.json").exists()
