@@ -34,9 +34,9 @@ def our_properties():
 
 
 @pytest.mark.slow
-def test_three_times_on_and_off_leave_nothing():
+def test_on_and_off_twice_leaves_nothing():
     before = registered()
-    for _ in range(3):
+    for _ in range(2):
         with registered_addon():
             while_it_is = registered()
         assert not before["operators"] and while_it_is["handlers"] != before["handlers"]
@@ -135,14 +135,15 @@ def test_registering_imports_no_work_and_nothing_heavy():
         " or (n.startswith('xihenet.') and n not in ('xihenet.formats', 'xihenet.json_files'))"
         f" or n.startswith({rooms})))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT, timeout=60
+    )
     assert done.stdout.strip().splitlines()[-1] == "[]"
 
 
 @pytest.mark.wheel_only("it is the wheel that does not end where something is registered")
-@pytest.mark.parametrize("is_unregistered", [True, False])
-def test_a_script_that_registers_the_add_on_ends(is_unregistered):
-    code = f"import bpy; from xihe_blender import addon; addon.register('a'); {is_unregistered} and addon.unregister()"
+def test_a_script_that_leaves_the_add_on_registered_ends():
+    code = "import bpy; from xihe_blender import addon; addon.register('a')"
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60).returncode == 0
 
 
