@@ -56,7 +56,8 @@ def test_the_panels_edge_server_estimates_and_its_state_is_in_the_results(tmp_pa
 
     with EdgeServer(inference=Inference("lattice")) as server:
         url = f"http://127.0.0.1:{server.port}"
-        scene = walk_for_the_panel(tmp_path, estimator="lattice", uses_edge_server=True, edge_server=url)
+        two_frames = {"use_own_frames": True, "frame_end": 2}
+        scene = walk_for_the_panel(tmp_path, estimator="lattice", uses_edge_server=True, edge_server=url, **two_frames)
         assert previs_settings(scene).backend == url
         assert bpy.ops.xihe.run() == {"FINISHED"}
     (row,) = [row for row in result_rows(read_results(Path(scene.xihe.run_folder))) if row[0] == "Edge Server"]
