@@ -3,12 +3,13 @@
 import contextlib
 import csv
 import json
+import shutil
 from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
-from previs_runs import CAPTURED, SMALL, counted_renders, files_below, look_away, run, unfinished_files
+from previs_runs import CAPTURED, counted_renders, files_below, look_away, run, unfinished_files
 from scene_snapshot import differences, snapshot
 from tiny_scenes import opened
 
@@ -29,6 +30,21 @@ def scene(room_file):
 
 def mapped(scene, out, settings=CAPTURED, wanted=FEW):
     return run_blocking(placement(scene, out, settings, wanted, blend_file=out.parent / "room.blend"))
+
+
+@pytest.fixture(scope="module")
+def kept(room_file, tmp_path_factory):
+    """The folder of a map of `FEW` places, which nothing may change, and its results."""
+    out = tmp_path_factory.mktemp("map") / "out"
+    (out.parent / "room.blend").write_bytes(room_file.read_bytes())
+    return out, mapped(opened(room_file), out)
+
+
+@pytest.fixture
+def copied(kept, out):
+    """A copy of the folder of that map."""
+    shutil.copytree(kept[0], out)
+    return out
 
 
 def test_a_map_has_places_with_their_light_and_leaves_the_scene_as_it_was(scene, out):
@@ -55,9 +71,8 @@ def test_a_map_has_places_with_their_light_and_leaves_the_scene_as_it_was(scene,
 
 
 @pytest.mark.slow
-def test_a_place_has_the_coverage_and_the_light_of_a_run_with_the_object_there(scene, out, tmp_path):
-    results = mapped(scene, out)
-    place = results.best_first[0]
+def test_a_place_has_the_coverage_and_the_light_of_a_run_with_the_object_there(kept, scene, tmp_path):
+    place = kept[1].best_first[0]
     (ball,) = virtual_objects(scene)
     ball.location = place.position_m
     there = run(scene, tmp_path / "run", replace(CAPTURED, frames=(1, 2, 3)))
@@ -67,12 +82,11 @@ def test_a_place_has_the_coverage_and_the_light_of_a_run_with_the_object_there(s
     assert last["expected_error"] == pytest.approx(place.expected_error, abs=1e-6)
 
 
-def test_other_places_in_the_same_room_cost_no_render(scene, out):
-    mapped(scene, out)
-    kept = files_below(out / "work")
+def test_other_places_in_the_same_room_cost_no_render(copied, scene):
+    before = files_below(copied / "work")
     with counted_renders() as renders:
-        in_the_air = mapped(scene, out, wanted=PlacementSettings(height_m=1.0, spacing_m=0.5))
-    assert renders == [] and files_below(out / "work") == kept
+        in_the_air = mapped(scene, copied, wanted=PlacementSettings(height_m=1.0, spacing_m=0.5))
+    assert renders == [] and files_below(copied / "work") == before
     assert {place.position_m[2] for place in in_the_air.places} == {1.0}
 
 
@@ -82,14 +96,12 @@ def test_no_more_places_than_wanted(scene, out):
 
 
 @pytest.mark.slow
-def test_a_map_that_is_stopped_leaves_nothing_half_written_and_goes_on(scene, out):
+def test_a_map_that_is_stopped_leaves_nothing_half_written_and_goes_on(kept, scene, out):
     with contextlib.closing(placement(scene, out, CAPTURED, FEW, blend_file=out.parent / "room.blend")) as job:
         for _ in range(6):
             next(job)
     assert not (out / "placement.json").exists() and unfinished_files(out) == []
-    resumed = mapped(scene, out)
-    whole = mapped(scene, out.parent / "whole")
-    assert resumed.places == whole.places
+    assert mapped(scene, out).places == kept[1].places
 
 
 def test_one_frame_is_a_path(scene, out):
@@ -105,10 +117,9 @@ def test_a_path_that_sees_no_upward_surface_is_told(scene, out):
     assert not (out / "placement.json").exists()
 
 
-def test_another_scene_in_the_folder_is_refused(scene, out):
-    mapped(scene, out)
+def test_another_scene_in_the_folder_is_refused(copied, scene):
     with pytest.raises(UserError, match="choose another folder for --out"):
-        mapped(scene, out, replace(CAPTURED, seed=5))
+        mapped(scene, copied, replace(CAPTURED, seed=5))
 
 
 @pytest.mark.parametrize(
@@ -122,7 +133,7 @@ def test_senseless_places_are_refused(senseless):
 
 
 def test_a_run_and_a_map_are_told_apart(scene, out):
-    run(scene, out, SMALL)
+    run(scene, out, replace(CAPTURED, frames=(1,)))
     with pytest.raises(UserError, match="choose another folder for --out"):
         mapped(scene, out)
 
