@@ -31,7 +31,7 @@ def addon():
         yield
 
 
-FEW = PlacementSettings(most=40)
+FEW = PlacementSettings(most=20)
 """Places: what is asked here is not how fine a map is."""
 
 
