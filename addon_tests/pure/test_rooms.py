@@ -17,6 +17,7 @@ from xihe_blender.lab.rooms.varied_rooms import CLUTTER, SIZES, sample_varied_ro
 from xihenet.training.rooms import split_of
 
 N_SEEDS, N_VARIED = 200, 60
+HANGING = ("picture", "mirror", "cupboard")
 PLANS = [box_plan(4, 3), l_plan(5, 4, (2, 1.5)), alcove_plan(4, 3, (-1, 1), 0.8)]
 
 
@@ -31,9 +32,14 @@ def varied_rooms() -> list[Room]:
     return [sample_varied_room(room_generator(8, i)) for i in range(N_VARIED)]
 
 
-@pytest.fixture(params=range(N_SEEDS + N_VARIED))
-def room(request: pytest.FixtureRequest) -> Room:
-    return (usual_rooms() + varied_rooms())[request.param]
+@functools.cache
+def by_day_rooms() -> list[Room]:
+    return [sample_room(room_generator(7, i), by_day=True) for i in range(N_SEEDS)]
+
+
+def all_rooms() -> enumerate[Room]:
+    """Usual ones, then varied ones, each with its number."""
+    return enumerate(usual_rooms() + varied_rooms())
 
 
 @pytest.mark.slow
@@ -43,55 +49,64 @@ def test_a_room_is_the_same_when_it_is_drawn_again_and_differs_from_others():
     assert len({room.outline for room in usual_rooms()}) == N_SEEDS
 
 
-def test_furniture_stands_inside_the_room(room):
-    for piece in room.pieces:
-        assert room.outline.holds_rect(piece.footprint), piece.kind
-        assert piece.z >= 0
-        assert piece.top_m <= room.ceiling_at(piece.footprint.centre), piece.kind
+def test_furniture_stands_inside_the_room():
+    for i, room in all_rooms():
+        for piece in room.pieces:
+            assert room.outline.holds_rect(piece.footprint), f"{i}: {piece.kind}"
+            assert piece.z >= 0, f"{i}: {piece.kind}"
+            assert piece.top_m <= room.ceiling_at(piece.footprint.centre), f"{i}: {piece.kind}"
 
 
-def test_pieces_do_not_overlap(room):
-    for one, other in itertools.combinations(room.pieces, 2):
-        assert not collide(one, other), f"{one.kind} and {other.kind}"
+def test_pieces_do_not_overlap():
+    for i, room in all_rooms():
+        for one, other in itertools.combinations(room.pieces, 2):
+            assert not collide(one, other), f"{i}: {one.kind} and {other.kind}"
 
 
-def test_what_does_not_stand_on_the_floor_hangs_on_a_wall_or_lies_on_something(room):
-    for piece in room.pieces:
-        if piece.z == 0 or piece.kind in ("picture", "mirror", "cupboard"):
-            continue
-        under = [p for p in room.pieces if p.top_m == piece.z and p.footprint.overlaps(piece.footprint)]
-        assert under, f"{piece.kind} floats"
+def test_what_does_not_stand_on_the_floor_hangs_on_a_wall_or_lies_on_something():
+    for i, room in all_rooms():
+        for piece in room.pieces:
+            if piece.z == 0 or piece.kind in HANGING:
+                continue
+            under = [p for p in room.pieces if p.top_m == piece.z and p.footprint.overlaps(piece.footprint)]
+            assert under, f"{i}: {piece.kind} floats"
 
 
-def test_what_hangs_touches_a_wall(room):
-    for piece in (p for p in room.pieces if p.kind in ("picture", "mirror", "cupboard")):
-        assert not room.outline.holds_rect(piece.footprint.grown(0.05))
+def test_what_hangs_touches_a_wall():
+    for i, room in all_rooms():
+        for piece in (p for p in room.pieces if p.kind in HANGING):
+            assert not room.outline.holds_rect(piece.footprint.grown(0.05)), f"{i}: {piece.kind}"
 
 
-def test_doors_can_be_opened(room):
-    for piece in (p for p in room.pieces if p.size[2] >= FLAT_M):
-        assert not blocks_hole(piece, room.outline, tuple(h for h in room.holes if h.is_door)), piece.kind
+def test_doors_can_be_opened():
+    for i, room in all_rooms():
+        doors = tuple(h for h in room.holes if h.is_door)
+        for piece in (p for p in room.pieces if p.size[2] >= FLAT_M):
+            assert not blocks_hole(piece, room.outline, doors), f"{i}: {piece.kind}"
 
 
-def test_openings_lie_within_their_walls_and_apart(room):
-    for hole in room.holes:
-        assert 0 < hole.low < hole.high < room.outline.walls[hole.wall].length
-        assert 0 <= hole.bottom < hole.top < room.height
-    for one, other in itertools.combinations(room.holes, 2):
-        assert one.wall != other.wall or one.high < other.low or other.high < one.low
+def test_openings_lie_within_their_walls_and_apart():
+    for i, room in all_rooms():
+        for hole in room.holes:
+            assert 0 < hole.low < hole.high < room.outline.walls[hole.wall].length, i
+            assert 0 <= hole.bottom < hole.top < room.height, i
+        for one, other in itertools.combinations(room.holes, 2):
+            assert one.wall != other.wall or one.high < other.low or other.high < one.low, i
 
 
-def test_every_room_has_light(room):
-    has_window = any(not hole.is_door for hole in room.holes)
-    has_lamp = any(lamp.watts > 0 for lamp in room.lamps)
-    assert has_lamp or (has_window and room.daylight.strength > 0)
-    assert all(1400 <= lamp.kelvin <= 16000 for lamp in room.lamps if lamp.watts > 0)
+def test_every_room_has_light():
+    for i, room in all_rooms():
+        has_window = any(not hole.is_door for hole in room.holes)
+        has_lamp = any(lamp.watts > 0 for lamp in room.lamps)
+        assert has_lamp or (has_window and room.daylight.strength > 0), i
+        assert all(1400 <= lamp.kelvin <= 16000 for lamp in room.lamps if lamp.watts > 0), i
 
 
-def test_lamps_hang_or_stand_inside_the_room(room):
-    for lamp in room.lamps:
-        assert room.outline.holds((lamp.x, lamp.y)), lamp.kind
-        assert lamp.z <= room.ceiling_at((lamp.x, lamp.y)) + 1e-9
+def test_lamps_hang_or_stand_inside_the_room():
+    for i, room in all_rooms():
+        for lamp in room.lamps:
+            assert room.outline.holds((lamp.x, lamp.y)), f"{i}: {lamp.kind}"
+            assert lamp.z <= room.ceiling_at((lamp.x, lamp.y)) + 1e-9, f"{i}: {lamp.kind}"
 
 
 def test_all_shapes_and_hours_occur():
@@ -104,8 +119,7 @@ def test_all_shapes_and_hours_occur():
 
 @pytest.mark.slow
 def test_half_of_the_rooms_by_day_have_a_sun_from_hazy_to_far_brighter_than_the_sky():
-    by_day = [sample_room(room_generator(7, i), by_day=True) for i in range(N_SEEDS)]
-    suns = [room.daylight.sun for room in by_day if room.windows]
+    suns = [room.daylight.sun for room in by_day_rooms() if room.windows]
     assert 0.4 < np.mean([sun is not None for sun in suns]) < 0.7
     irradiance = [sun.irradiance for sun in suns if sun is not None]
     assert min(irradiance) < 5 and max(irradiance) > 100, "W/m² where skies have a radiance of 0.8 to 14"
@@ -174,8 +188,7 @@ def test_a_plan_that_is_none_is_refused(corners):
 
 
 def test_a_room_by_day_is_the_same_room_with_its_lamps_off_and_one_without_windows_keeps_them():
-    for i in range(60):
-        usual, by_day = (sample_room(room_generator(8, i), by_day=chosen) for chosen in (False, True))
+    for usual, by_day in zip(usual_rooms(), by_day_rooms(), strict=True):
         assert (usual.pieces, usual.windows) == (by_day.pieces, by_day.windows)
         if by_day.windows:
             assert by_day.regime not in DARK and not any(lamp.watts for lamp in by_day.lamps)
