@@ -151,12 +151,14 @@ SMALL = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
 UPRIGHT = Intrinsics(36, 48, 30.0, 30.0, 18.3, 24.0)
 TUM = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
 SEVEN_SCENES = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
+QUARTER_TUM = Intrinsics(160, 120, 131.25, 131.25, 80.0, 60.0)
+QUARTER_SCENES = Intrinsics(160, 120, 146.25, 146.25, 80.0, 60.0)
 VIDEO = pytest.mark.wheel_only("a whole Blender's Python has no PyAV, whose FFmpeg is not Blender's")
 PACKED = pytest.mark.wheel_only("a whole Blender's Python has no lzfse")
 LAYOUTS = {
     "Nerfstudio": (as_nerfstudio, SMALL),
-    "TUM RGB-D": (as_tum, TUM),
-    "7-Scenes": (as_seven_scenes, SEVEN_SCENES),
+    "TUM RGB-D": (as_tum, QUARTER_TUM),
+    "7-Scenes": (as_seven_scenes, QUARTER_SCENES),
     "Record3D": (as_record3d, SMALL),
     "Record3D, upright": (as_record3d, UPRIGHT),
     "Stray Scanner": (as_stray, SMALL),
