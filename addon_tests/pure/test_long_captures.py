@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from addon_tests.pure.recordings import PACKED, as_nerfstudio, as_record3d, as_tum, walk
+from addon_tests.pure.recordings import as_nerfstudio, as_record3d, as_tum, walk
 from xihenet.captures.values import quaternion_of
 from xihenet.records import Intrinsics
 
@@ -29,12 +29,20 @@ def most_mb():
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return int(dict(line.split(":", 1) for line in status.read_text().splitlines())["VmHWM"].split()[0]) / 1024
 before = most_mb()
-start = time.perf_counter()
-capture = open_capture(Path(sys.argv[1]))
-opened_s = time.perf_counter() - start
-numbers = [frame.read().frame for frame in capture.frames[::100]]
-print(len(capture.frames), len(numbers), most_mb() - before, opened_s, time.perf_counter() - start)
+for path in sys.argv[2:]:
+    start = time.perf_counter()
+    capture = open_capture(Path(path))
+    opened_s = time.perf_counter() - start
+    numbers = [frame.read().frame for frame in capture.frames[:: int(sys.argv[1])]]
+    print(len(capture.frames), len(numbers), most_mb() - before, opened_s, time.perf_counter() - start)
 """
+
+
+def measured(*paths, every):
+    """A line for each: frames, those read, MB that the process has grown by until then, seconds to open and in all."""
+    command = [sys.executable, "-c", MEASURED, str(every), *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    return [tuple(map(float, line.split())) for line in done.stdout.splitlines()]
 
 
 def long_nerfstudio(folder):
@@ -72,20 +80,10 @@ def long_record3d(folder):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.wheel_only("its Python is not sys.executable with these packages")
-@pytest.mark.parametrize(
-    "make",
-    [
-        pytest.param(long_nerfstudio, marks=pytest.mark.slow),
-        pytest.param(long_tum, marks=pytest.mark.slow),
-        pytest.param(long_record3d, marks=PACKED),
-    ],
-)
-def test_ten_thousand_frames_take_little_memory(tmp_path, make):
-    path = make(tmp_path)
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURED, str(path)], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    n, n_read, grown_mb, opened_s, read_s = map(float, done.stdout.split())
-    print(f"{make.__name__}: {grown_mb:.0f} MB, opened in {opened_s:.2f} s, read by {read_s:.2f} s")
-    assert (n, n_read) == (N, N / 100) and grown_mb < MOST_MB
+def test_ten_thousand_frames_take_little_memory(tmp_path):
+    paths = [make(tmp_path / make.__name__) for make in (long_nerfstudio, long_tum, long_record3d)]
+    for path, (n, n_read, grown_mb, opened_s, read_s) in zip(paths, measured(*paths, every=100), strict=True):
+        print(f"{path}: {grown_mb:.0f} MB, opened in {opened_s:.2f} s, read by {read_s:.2f} s")
+        assert (n, n_read) == (N, N / 100) and grown_mb < MOST_MB
