@@ -162,7 +162,7 @@ class Page(HTMLParser):
         {"n_frames": 1, "inactive": (0,)},
         {"n_frames": 6, "inactive": tuple(range(6))},
         {"n_frames": 12, "inactive": (0, 4, 5, 11), "compare_every": 1},
-        {"n_frames": 300, "names": tuple(f"Object {i}" for i in range(12)), "compare_every": 60, "size": (9, 16)},
+        {"n_frames": 100, "names": tuple(f"Object {i}" for i in range(12)), "compare_every": 20, "size": (9, 16)},
     ],
 )
 def test_the_page_is_balanced_and_needs_nothing_from_outside(tmp_path, made):
