@@ -12,20 +12,24 @@ SIZES_IN_USE = (512, 768, 1024, 1280, 1536, 2048)
 FEW_OR_ODD = (1, 2, 3, 4, 5, 6, 7, 16, 100, 333)
 
 
-def cosine_lost(directions, anchors, given_directions):
-    """How far the cosine of the chosen anchor lies below the best, in float64."""
+def cosine_lost(directions, anchors, given_directions, n_times=1):
+    """How far the cosine of the chosen anchor lies below the best, in float64.
+
+    Given directions that come `n_times`, one after the other and in other lengths, have one best cosine.
+    """
     unit = given_directions.astype(np.float64)
     unit /= np.abs(unit).max(axis=1, keepdims=True)
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    best = np.concatenate([(block @ directions.T).max(axis=1) for block in np.array_split(unit, 32)])
-    return best - (unit * directions[anchors]).sum(axis=1)
+    blocks = np.array_split(unit[: len(unit) // n_times], 32)
+    best = np.concatenate([(block @ directions.T).max(axis=1) for block in blocks])
+    return np.tile(best, n_times) - (unit * directions[anchors]).sum(axis=1)
 
 
-def n_wrong(lattice, directions, method="exact"):
+def n_wrong(lattice, directions, method="exact", n_times=1):
     anchors = lattice.nearest(directions, method)
     assert anchors.shape == (len(directions),)
     assert ((anchors >= 0) & (anchors < lattice.n)).all()
-    return int((cosine_lost(lattice.directions, anchors, np.asarray(directions)) > 1e-7).sum())
+    return int((cosine_lost(lattice.directions, anchors, np.asarray(directions), n_times) > 1e-7).sum())
 
 
 def in_cube(rng, n, dtype=np.float32):
@@ -111,7 +115,7 @@ def test_exact_is_never_wrong_on_nasty_directions(n, dtype):
     lattice = AnchorLattice(n)
     directions = nasty_directions(lattice, np.random.default_rng(n)).astype(dtype)
     directions = directions[directions.any(axis=1)]  # float32 takes some of the shortest to zero
-    assert n_wrong(lattice, directions) == 0
+    assert n_wrong(lattice, directions, n_times=2 if dtype == np.float64 else 1) == 0
 
 
 @settings(max_examples=15, deadline=None)
