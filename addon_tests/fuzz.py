@@ -41,11 +41,11 @@ settings.register_profile(
 )
 
 
-def some_examples() -> settings:
-    """Of a test: those of the search while it runs, else a few, the same in every run."""
+def some_examples(n: int = 30) -> settings:
+    """Of a test: those of the search while it runs, else `n`, the same in every run."""
     if is_searching():
         return settings()
-    return settings(max_examples=30, derandomize=True, suppress_health_check=list(HealthCheck))
+    return settings(max_examples=n, derandomize=True, suppress_health_check=list(HealthCheck))
 
 
 def is_searching() -> bool:
