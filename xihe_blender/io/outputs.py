@@ -16,6 +16,7 @@ import json
 import math
 import os
 import shutil
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 
 MAX_STEM = 40
 """Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
+
+
+RENAMED_WITHIN = 10
+"""Times that a file is renamed if the system refuses, 20 ms apart."""
 
 
 def _at(*parts: str) -> functools.cached_property[Path]:
@@ -123,7 +128,7 @@ def written_whole(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield beside
-        beside.replace(path)
+        _rename(beside, path)
     except OSError as error:
         raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
     except RuntimeError as error:
@@ -131,6 +136,16 @@ def written_whole(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
+
+
+def _rename(source: Path, target: Path) -> None:
+    """Windows refuses while somebody reads the target, as the panel does five times a second."""
+    for _ in range(RENAMED_WITHIN):
+        with contextlib.suppress(PermissionError):
+            source.replace(target)
+            return
+        time.sleep(0.02)
+    source.replace(target)
 
 
 def _from_cpp(error: RuntimeError, path: Path) -> OSError:

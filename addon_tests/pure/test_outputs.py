@@ -1,0 +1,27 @@
+"""Files of a run are whole or not there."""
+
+import contextlib
+import errno
+from pathlib import Path
+
+import pytest
+
+from xihe_blender.io.outputs import write_json
+
+
+@pytest.mark.parametrize("n_refusals", [3, 99])
+def test_a_file_that_is_read_just_then_is_written_a_moment_later(tmp_path, monkeypatch, n_refusals):
+    """As on Windows, where a file that is open cannot be replaced."""
+    replace, refused = Path.replace, []
+
+    def refuse(path, target):
+        if len(refused) < n_refusals:
+            refused.append(path)
+            raise PermissionError(errno.EACCES, "refused", str(path))
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    path = tmp_path / "progress.json"
+    with contextlib.nullcontext() if n_refusals == 3 else pytest.raises(OSError, match=r"progress\.json"):
+        write_json(path, {"done": 1})
+    assert [file.name for file in tmp_path.iterdir()] == (["progress.json"] if n_refusals == 3 else [])
