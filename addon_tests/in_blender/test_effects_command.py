@@ -84,8 +84,8 @@ def test_typed_overrides_are_read_with_spaces_and_the_last_one_wins():
             parsed_overrides([text])
 
 
-MEASURED = {"transmission", "diffuse bounces", "volumes", "motion blur", "denoising"}
-"""Two that the room calls for, one that it does not, and two that are measured in a scene of their own."""
+MEASURED = {"transmission", "diffuse bounces", "volumes", "transparency", "motion blur", "denoising"}
+"""Two that the room calls for, two that it does not, and two that are measured in a scene of their own."""
 
 VARIANTS = costs._variants
 
@@ -141,10 +141,11 @@ def test_leaving_out_changes_the_picture_where_the_scene_calls_for_it_and_nothin
         change = measured[0][name].cost.picture
         assert change.relative < -2 * change.standard_error < 0, name
         assert measured[0][name].state == "on"
-    fog = measured[0]["volumes"]
-    assert fog.state == "off"
-    for change in (fog.cost.light, fog.cost.picture):
-        assert (change.relative, change.standard_error) == (0, 0)
+    for name in ("volumes", "transparency"):
+        cost = measured[0][name].cost
+        assert measured[0][name].state == "off"
+        for change in (cost.light, cost.picture):
+            assert (change.relative, change.standard_error) == (0, 0), name
 
 
 @pytest.mark.slow
