@@ -76,6 +76,7 @@ def test_a_trial_has_the_numbers_of_a_run_of_its_own_and_all_trials_render_no_mo
     assert renders_of_the_room(of_unit) == renders_of_the_room(of_run) and len(of_run) > N_FRAMES
 
 
+@pytest.mark.slow
 def test_a_unit_that_a_scheduler_finished_meanwhile_is_not_made_again(tmp_path, whole):
     write_json(result_file(tmp_path), as_json(whole[0]))
     (tmp_path / "work").mkdir()
