@@ -260,7 +260,8 @@ def test_a_killed_worker_leaves_whole_files_alone(tmp_path):
 def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path, monkeypatch):
     killed = []
     monkeypatch.setattr(subprocess.Popen, "kill", lambda process: killed.append(process.pid) or process.send_signal(9))
-    job = build_dataset(tmp_path, small_build(30))
+    n_rooms = 60_000  # Whose numbers are too long for a command line.
+    job = build_dataset(tmp_path, small_build(n_rooms))
     for progress in job:
         if progress.done:
             break
@@ -269,7 +270,7 @@ def test_a_closed_build_ends_its_workers_and_leaves_whole_files(tmp_path, monkey
     time.sleep(0.5)
     assert len(list(stored_indices(tmp_path))) == there
     assert not killed
-    assert missing_rooms(tmp_path, range(30))
+    assert missing_rooms(tmp_path, range(n_rooms))
     assert not list(tmp_path.glob(".room_*"))
 
 

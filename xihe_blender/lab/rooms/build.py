@@ -10,6 +10,7 @@ start them, as `xihe evaluate` does, and see the folder under the same path.
 from __future__ import annotations
 
 import contextlib
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -104,11 +105,14 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
 def _in_processes(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
     """Make the `missing` rooms in processes of this machine. UserError, in its own words, if one failed."""
     n_workers = min(settings.n_workers or n_cores(), len(missing))
-    shares = [missing[i::n_workers] for i in range(n_workers)]
-    commands = [[*module_command(WORKER), *_arguments(folder, settings, share)] for share in shares]
+    command = [*module_command(WORKER), *_arguments(folder, settings, "-")]
     with contextlib.ExitStack() as stack:
-        silent = {"stdin": DEVNULL, "stdout": DEVNULL}
-        workers = [stack.enter_context(process_on_one_core(command, **silent)) for command in commands]
+        workers = []
+        for share in (missing[i::n_workers] for i in range(n_workers)):
+            numbers = stack.enter_context(tempfile.TemporaryFile())  # A command line would be too long for them.
+            numbers.write(_joined(share).encode())
+            numbers.seek(0)
+            workers.append(stack.enter_context(process_on_one_core(command, stdin=numbers, stdout=DEVNULL)))
         try:
             yield from _watched(folder, len(settings.wanted()), missing, workers)
         finally:
@@ -123,7 +127,7 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
         return
     folder = folder.resolve()
     shares = [missing[i : i + ROOMS_AT_A_TIME] for i in range(0, len(missing), ROOMS_AT_A_TIME)]
-    work = [Work(f"room {share[0]}", WORKER, tuple(_arguments(folder, settings, share))) for share in shares]
+    work = [Work(f"room {share[0]}", WORKER, tuple(_arguments(folder, settings, _joined(share)))) for share in shares]
     with open_dask_workers(None, settings.scheduler) as workers:
         workers.check_workers(str(folder), [])
         yield from workers.run(work, "share of rooms")
@@ -166,9 +170,13 @@ def _watched(
         time.sleep(POLL_S)
 
 
-def _arguments(folder: Path, settings: BuildSettings, indices: Sequence[int]) -> list[str]:
+def _joined(indices: Sequence[int]) -> str:
+    return ",".join(map(str, indices))
+
+
+def _arguments(folder: Path, settings: BuildSettings, rooms: str) -> list[str]:
     """What `worker` is told."""
-    arguments = ["--out", str(folder), "--seed", str(settings.seed), "--rooms", ",".join(str(i) for i in indices)]
+    arguments = ["--out", str(folder), "--seed", str(settings.seed), "--rooms", rooms]
     arguments += ["--settings", *(str(n) for n in settings.render), "--varied", str(settings.varied)]
     arguments += ["--by-day", str(settings.by_day)]
     for name, number in (("--walk", settings.walk), ("--views", settings.views)):

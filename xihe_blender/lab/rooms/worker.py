@@ -21,7 +21,8 @@ from xihe_blender.lab.rooms.store import room_path, save_room
 def make_rooms(options: argparse.Namespace, is_stopped: Callable[[], bool]) -> None:
     """Make the rooms that are not there yet; stops between rooms when told to, or when its parent process is gone."""
     parent, settings = os.getppid(), RoomRenderSettings.of(options.settings)
-    for index in map(int, options.rooms.split(",")):
+    numbers = sys.stdin.read() if options.rooms == "-" else options.rooms
+    for index in map(int, numbers.split(",")):
         if is_stopped() or os.getppid() != parent:
             return
         path = room_path(options.out, index)
@@ -35,7 +36,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m xihe_blender.lab.rooms.worker", description="Make rooms.")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--rooms", required=True, help="numbers, separated by commas")
+    parser.add_argument("--rooms", required=True, help="numbers, separated by commas; - for those on stdin")
     parser.add_argument("--settings", type=int, nargs=6, required=True, metavar="N", help="sizes and samples")
     parser.add_argument("--varied", type=float, default=0.0, help="share of the training rooms that are varied")
     parser.add_argument("--by-day", type=float, default=0.0, help="share of the training rooms lit by windows alone")
