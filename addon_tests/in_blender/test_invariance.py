@@ -15,7 +15,7 @@ def assert_same(seen, known, tolerance):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("placing", ALL_THREE, ids=str)
+@pytest.mark.parametrize("placing", [Placing("turned by 90 degrees", yaw_deg=90.0), *ALL_THREE], ids=str)
 def test_a_room_elsewhere_turned_or_in_other_units_has_the_turned_light(placing):
     assert_same(seen(placing), seen(), TOLERANCE)
     # Against the same anchors nothing but noise is left.
