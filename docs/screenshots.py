@@ -57,7 +57,9 @@ def main() -> None:
         folder = options.run or Path(temporary) / "run"
         if options.run is None:
             make_run(folder)
-        seen = run_in_window("readme_picture", Path(temporary) / "window", blend=SCENE, run=folder.resolve())
+        seen = run_in_window(
+            "readme_picture", Path(temporary) / "window", blend=SCENE, run=folder.resolve(), size_px=(1600, 1000)
+        )
         if seen.code != 0:
             sys.exit(f"Blender could not take the picture:\n{seen.console}")
         save_small(seen.out / "panel.png", options.picture)

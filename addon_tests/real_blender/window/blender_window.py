@@ -50,10 +50,15 @@ def run_in_window(
     blend: Path | None = None,
     add_on: str | None = None,
     run: Path | None = None,
+    size_px: tuple[int, int] = (1100, 1000),
     timeout_s: float = 600,
 ) -> WindowRun:
-    """Run scenarios/<scenario>.py; `blend` is opened before, `add_on` and `run` are as run_scenario.py takes them."""
+    """Run scenarios/<scenario>.py; `blend` is opened before, `add_on` and `run` are as run_scenario.py takes them.
+
+    The window is as high as the screen, for its buttons, and no wider than needed: OpenGL in software draws all of it.
+    """
     command = shlex.split(os.environ["XIHE_BLENDER_WINDOW"]) + ["--factory-startup"]
+    command += ["--window-geometry", "0", "0", *map(str, size_px)]
     command += [] if blend is None else [str(blend)]
     command += ["--python-exit-code", "1", "--python", str(SCRIPT), "--"]
     command += ["--scenario", scenario, "--out", str(out)]

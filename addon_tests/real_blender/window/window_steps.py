@@ -197,11 +197,20 @@ def smooth_edges(are_smooth: bool) -> None:
     system.viewport_aa, system.use_overlay_smooth_wire = "8" if are_smooth else "OFF", are_smooth
 
 
+def plain_shading() -> None:
+    """Solid shading without lamps and highlights, in all 3D views: they take two thirds of a draw in software."""
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            if area.type == "VIEW_3D":
+                area.spaces.active.shading.light = "FLAT"
+
+
 def play(scenario: Callable[[Window], Steps], out: Path, run_folder: Path | None = None) -> None:
     """Drive `scenario` from a timer; write its facts as facts.json into `out`; end Blender."""
     out.mkdir(parents=True, exist_ok=True)
     bpy.context.preferences.view.show_splash = False
     smooth_edges(False)
+    plain_shading()
     window = Window(out, run_folder)
     steps = scenario(window)
 
