@@ -7,6 +7,8 @@ VENV ?= .venv
 EXTRAS ?= test
 BIN = $(VENV)/bin
 OUT ?= out
+# Of the path, for `make previs`: as `xihe previs --frames` takes them, 1:24:4 for every fourth. All, if left empty.
+FRAMES ?=
 # How long `make fuzz` searches.
 MINUTES ?= 60
 
@@ -31,7 +33,8 @@ TEST_PACKAGES ?= build/test_packages/$(BLENDER_PYTHON)
 	scenes weights clean
 
 previs: $(VENV)/installed
-	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft
+	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft \
+		$(if $(FRAMES),--frames $(FRAMES))
 
 # A process per core, and in each one thread for matrices, or they wait for each other. A file's tests stay together, since
 # they share what its fixtures made; files keep their order, in which those that render come first and none is left to the end.
