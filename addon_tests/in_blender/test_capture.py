@@ -3,6 +3,8 @@
 import ctypes
 import math
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import bpy
@@ -22,10 +24,12 @@ from tiny_scenes import (
     set_world,
 )
 
-from xihe_blender.capture.render import RenderSettings, working_scene
+from xihe_blender.capture.render import RenderSettings, render_scene, working_scene
 from xihe_blender.capture.scanner import METERING_SAMPLES, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihenet.camera import KEY_LUMINANCE, ray_distance_from_plane_depth, unproject_frame
+
+ROOT = Path(__file__).resolve().parents[2]
 
 SMALL = RenderSettings((64, 48), samples=1, denoise=False)
 
@@ -230,3 +234,31 @@ def test_a_render_leaves_no_line_on_the_terminal_about_a_file_of_ours(capfd):
     # What C has printed may be waiting.
     ctypes.CDLL(None).fflush(None)
     assert "passes.exr" not in capfd.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.wheel_only("a process of its own, since a crash would end this one, is made of the wheel's Python")
+def test_another_thread_may_run_python_while_blender_renders():
+    script = """
+import os, threading, time, bpy
+from xihe_blender.capture.render import RenderSettings, render_scene, working_scene
+def wake():
+    while True:
+        time.sleep(1e-4)
+threading.Thread(target=wake, daemon=True).start()
+with working_scene(bpy.context.scene, "copy", RenderSettings((16, 16), samples=1, denoise=False)) as scene:
+    for _ in range(1500):
+        render_scene(scene)
+os._exit(0)  # The wheel does not end beside a thread.
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, timeout=100)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_a_render_is_of_the_scenes_own_frame_and_leaves_the_users():
+    user = room_with_a_virtual_sphere(n_frames=8)
+    user.frame_set(2)
+    with working_scene(user, "copy", RenderSettings((16, 16), samples=1, denoise=False)) as scene:
+        scene.frame_set(7)
+        render_scene(scene)
+        assert (scene.frame_current, user.frame_current, bpy.context.scene) == (7, 2, user)

@@ -178,6 +178,24 @@ def in_whole_picture(rendered: Rendered, part: PicturePart, size: tuple[int, int
     return Rendered(layers, rendered.render_s)
 
 
+def render_scene(scene: bpy.types.Scene, *, is_animation: bool = False) -> None:
+    """Have Blender render `scene` at its current frame, or all of its frames. RuntimeError with Blender's own words.
+
+    By name, and not as the scene of an overridden context: Blender looks into that while it renders, with Python 3.11
+    and older without Python's lock, and crashes where another thread runs Python meanwhile, of a script or an add-on.
+    By name it sets `scene` to the frame of the context's scene, so that one goes to the frame of `scene` before.
+    """
+    in_context = bpy.context.scene
+    before = in_context.frame_current
+    try:
+        if before != scene.frame_current:
+            in_context.frame_current = scene.frame_current
+        bpy.ops.render.render(scene=scene.name, animation=is_animation)
+    finally:
+        if before != in_context.frame_current:
+            in_context.frame_current = before
+
+
 def render_passes(scene: bpy.types.Scene) -> Rendered:
     """Render `scene` at its current frame and return its passes.
 
@@ -190,9 +208,7 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
         scene.render.filepath = str(path)
         start = time.perf_counter()
         try:
-            # By name alone the operator renders the frame of the scene in the context, whatever `scene` stands at.
-            with bpy.context.temp_override(scene=scene):
-                bpy.ops.render.render()
+            render_scene(scene)
         except RuntimeError as error:
             raise UserError(f"Cycles could not render {users_name(scene)!r}: {str(error).strip()}") from error
         result = next(image for image in bpy.data.images if image.type == "RENDER_RESULT")

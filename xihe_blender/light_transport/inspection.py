@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 
 import bpy
 
-from xihe_blender.capture.render import RenderSettings, exclude_collection, working_scene
+from xihe_blender.capture.render import RenderSettings, exclude_collection, render_scene, working_scene
 from xihe_blender.errors import UserError
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -53,8 +53,7 @@ class SceneInspection:
         bpy.utils.register_class(Inspection)
         try:
             self.working.render.engine = ENGINE
-            with bpy.context.temp_override(scene=self.working):
-                bpy.ops.render.render()
+            render_scene(self.working)
         except RuntimeError as error:
             raise UserError(f"Blender could not evaluate {self.working.name!r}: {str(error).strip()}") from error
         finally:
