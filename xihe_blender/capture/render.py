@@ -178,19 +178,20 @@ def in_whole_picture(rendered: Rendered, part: PicturePart, size: tuple[int, int
     return Rendered(layers, rendered.render_s)
 
 
-def render_scene(scene: bpy.types.Scene, *, is_animation: bool = False) -> None:
-    """Have Blender render `scene` at its current frame, or all of its frames. RuntimeError with Blender's own words.
+def render_scene(scene: bpy.types.Scene) -> None:
+    """Have Blender render `scene` at its current frame. RuntimeError with Blender's own words.
 
     By name, and not as the scene of an overridden context: Blender looks into that while it renders, with Python 3.11
     and older without Python's lock, and crashes where another thread runs Python meanwhile, of a script or an add-on.
-    By name it sets `scene` to the frame of the context's scene, so that one goes to the frame of `scene` before.
+    By name it sets `scene` to the frame of the context's scene, so that one goes to the frame of `scene` before, and
+    is evaluated anew afterwards: to be used inside of `scene_kept`.
     """
     in_context = bpy.context.scene
     before = in_context.frame_current
     try:
         if before != scene.frame_current:
             in_context.frame_current = scene.frame_current
-        bpy.ops.render.render(scene=scene.name, animation=is_animation)
+        bpy.ops.render.render(scene=scene.name)
     finally:
         if before != in_context.frame_current:
             in_context.frame_current = before

@@ -17,7 +17,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import render_scene
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_picture
 from xihe_blender.io.run_results import RunResults
@@ -192,7 +191,8 @@ def render(scene: bpy.types.Scene, path: Path) -> None:
     """Render all of `scene`. UserError if this Blender cannot."""
     scene.render.filepath = str(path)
     try:
-        render_scene(scene, is_animation=True)
+        with bpy.context.temp_override(scene=scene):
+            bpy.ops.render.render(animation=True)
     except (RuntimeError, TypeError) as error:
         raise UserError(f"Blender could not write {path.name}: {str(error).strip()}") from error
 
