@@ -181,11 +181,16 @@ def in_whole_picture(rendered: Rendered, part: PicturePart, size: tuple[int, int
 def render_scene(scene: bpy.types.Scene) -> None:
     """Have Blender render `scene` at its current frame. RuntimeError with Blender's own words.
 
-    By name, and not as the scene of an overridden context: Blender looks into that while it renders, with Python 3.11
-    and older without Python's lock, and crashes where another thread runs Python meanwhile, of a script or an add-on.
-    By name it sets `scene` to the frame of the context's scene, so that one goes to the frame of `scene` before, and
-    is evaluated anew afterwards: to be used inside of `scene_kept`.
+    Without a window by name, and not as the scene of an overridden context: Blender looks into that while it renders,
+    with Python 3.11 and older without Python's lock, and crashes where another thread runs Python meanwhile, of a
+    script or an add-on. By name it sets `scene` to the frame of the context's scene, so that one goes to the frame of
+    `scene` before, and is evaluated anew afterwards: to be used inside of `scene_kept`. A window would evaluate it
+    later, when everything is put back.
     """
+    if not bpy.app.background:
+        with bpy.context.temp_override(scene=scene):
+            bpy.ops.render.render()
+        return
     in_context = bpy.context.scene
     before = in_context.frame_current
     try:
