@@ -137,3 +137,21 @@ def test_apply_brings_back_the_light_of_the_run(scene, ran):
     apply_results(scene, ran)
     assert not LightOf.read(bpy.data.worlds["Xihe Ball"]).live
     assert misplaced(scene).keys() == {"Ball"}
+
+
+def test_a_render_begins_when_the_thread_that_finds_light_has_ended(scene, ran, monkeypatch):
+    bpy.data.objects["Ball"].location.x += 0.4
+    bpy.context.view_layer.update()
+    task, alive = live_light.Task(ran, misplaced(scene)), []
+    monkeypatch.setattr(live_light, "_task", task)
+    handlers = bpy.app.handlers.render_init
+    ours = [called for listed, called in live_light._handlers() if listed is handlers]
+    added = [*ours, lambda *_: alive.append(task.is_alive())]
+    handlers.extend(added)
+    try:
+        task.start()
+        bpy.ops.render.render()
+    finally:
+        for called in added:
+            handlers.remove(called)
+    assert alive == [False] and task.found.keys() == {"Ball"}

@@ -212,6 +212,13 @@ def _after_undo(*_: Any) -> None:
 
 
 @bpy.app.handlers.persistent
+def _before_render(*_: Any) -> None:
+    """With Python 3.11 and older, Blender can crash where it renders while another thread runs Python."""
+    if _task is not None:
+        _task.join()
+
+
+@bpy.app.handlers.persistent
 def _after_load(*_: Any) -> None:
     global _task, _kept
     # A thread that is still at work goes on with the old ones, which go with it.
@@ -224,6 +231,7 @@ def _handlers() -> list[tuple[list[Any], Any]]:
         (handlers.depsgraph_update_post, _scene_changed),
         (handlers.undo_post, _after_undo),
         (handlers.redo_post, _after_undo),
+        (handlers.render_init, _before_render),
         (handlers.load_post, _after_load),
     ]
 
