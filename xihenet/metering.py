@@ -62,8 +62,9 @@ def metered_exposure(pictures: Iterable[ArrayF32], metering: Metering = "highlig
     the rest. `highlights` lowers this until every picture meets its bound, by MOST_STOPS at most: an exposure is locked
     for the session, and what it clips in one frame is lost there.
 
-    Pixels that are NaN or infinite, which renderers leave behind, do not count. More light never asks for more
-    exposure, and twice the light for half of it.
+    Pixels that are NaN or infinite, which renderers leave behind, do not count. Twice the light asks for half of the
+    exposure, and more light never for more of it, unless it falls where a picture was black: however little it is, the
+    picture may then balance around it. (It cannot be told from a room in which the rest is far beyond white.)
     """
     seen = [_finite_pixels(picture) for picture in pictures]
     keys = [_key(pixels) for pixels in seen]

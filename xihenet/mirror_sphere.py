@@ -49,15 +49,15 @@ def mirror_sphere_cloud(
 ) -> UnitSphereCloud:
     """The light that `frame` shows in a mirror sphere: the mean of the pixels that reflect each anchor's directions.
 
-    Pixels in which something stands before the sphere, by the frame's plane depth, do not count; no anchor is set where
-    it is not in view. Distances are not known, and 1 m wherever an anchor is set. ValueError for a radius that is not
-    positive.
+    Pixels in which something stands before the sphere, by the frame's plane depth, do not count, nor do those whose
+    plane depth is NaN; no anchor is set where it is not in view. Distances are not known, and 1 m wherever an anchor is
+    set. ValueError for a radius that is not positive.
     """
     if not radius_m > 0:
         raise ValueError(f"mirror_sphere_cloud: expected a positive radius, got {radius_m}")
     directions, depth_m, on_sphere = reflected_directions(frame, centre_m, radius_m)
     seen_m = np.where(frame.plane_depth_m > 0, frame.plane_depth_m, MISS_PLANE_DEPTH_M)
-    is_seen = on_sphere & (seen_m >= np.nan_to_num(depth_m) * (1 - TOLERANCE))
+    is_seen = on_sphere & ~np.isnan(frame.plane_depth_m) & (seen_m >= np.nan_to_num(depth_m) * (1 - TOLERANCE))
     anchors = lattice.nearest(directions[is_seen])
     colours = srgb_to_linear(frame.srgb_u8[is_seen] / 255.0)
     counts = np.bincount(anchors, minlength=len(lattice))

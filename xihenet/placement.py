@@ -19,6 +19,9 @@ SAME_HEIGHT_M = 0.08
 FEWEST_PIXELS = 4
 """Of one cell, over all frames: fewer are noise along an edge."""
 
+FEWEST_RANKED = 8
+"""Pairs of a rank correlation from which on its interval holds the truth as often as it says."""
+
 REACH_M = 5.0
 """From the camera: a phone's LiDAR sees no farther, and a garden behind a window is no place for an object."""
 
@@ -145,10 +148,16 @@ def rank_correlation(first: ArrayF64, second: ArrayF64) -> float:
 def rank_correlation_interval(
     first: ArrayF64, second: ArrayF64, rng: np.random.Generator, n_draws: int = 2000
 ) -> tuple[float, float]:
-    """The 95 % bootstrap interval of `rank_correlation` over pairs; NaN where it is undefined."""
+    """The 95 % bootstrap interval of `rank_correlation` over pairs.
+
+    NaN where that is undefined, and for fewer than FEWEST_RANKED pairs: of four places such intervals held the true
+    correlation in half to three quarters of simulated cases, and in their order each says 1 to 1.
+    """
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    draws = rng.integers(0, max(1, len(a)), (n_draws, len(a)))
-    found = np.array([rank_correlation(a[draw], b[draw]) for draw in draws]) if len(a) > 1 else np.array([np.nan])
+    if len(a) < FEWEST_RANKED:
+        return float("nan"), float("nan")
+    draws = rng.integers(0, len(a), (n_draws, len(a)))
+    found = np.array([rank_correlation(a[draw], b[draw]) for draw in draws])
     found = found[np.isfinite(found)]
     if not len(found):
         return float("nan"), float("nan")

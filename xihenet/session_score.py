@@ -18,7 +18,7 @@ from xihenet.buffers import FrameAtPosition, merge_in_sight
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.estimators import Estimator
 from xihenet.left_out import N_PARTS, left_out_error
-from xihenet.paired import paired_difference
+from xihenet.paired import CONFIDENCE, held_at_most, paired_difference
 from xihenet.placement import places_among, upward_points
 from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
@@ -39,7 +39,7 @@ class EstimatorScore:
     ----------
     estimator : its name
     rmse : mean over places of the error of radiance, linear, at the session's exposure
-    low, high : 95 % confidence interval of that mean over places; None with fewer than two
+    low, high : 95 % confidence interval of that mean over places; None with fewer than six, which hold none of 95 %
     share_better : of the places, in which its error is below that of the first estimator of the table
     n_places : that could be asked: at others no part shows enough that the others do not
     """
@@ -127,4 +127,5 @@ def _score(name: str, errors: ArrayF64, first: ArrayF64, rng: np.random.Generato
     places = list(range(len(errors)))
     mean = paired_difference(errors.tolist(), [0.0] * len(errors), places, rng)
     share_better = float(np.mean(errors < first))
-    return EstimatorScore(name, mean.mean, mean.low, mean.high, share_better, len(errors))
+    low, high = (mean.low, mean.high) if held_at_most(len(errors)) >= CONFIDENCE else (None, None)
+    return EstimatorScore(name, mean.mean, low, high, share_better, len(errors))

@@ -193,3 +193,19 @@ def test_the_gains_of_a_graph_are_those_of_a_dense_solution():
     wrong = replace(pairs[-1], log_ratio=pairs[-1].log_ratio + 1.0)
     contradicted, _, residual = solve_gains(n, [*pairs[:-1], wrong])
     assert np.abs(contradicted - logs).max() < 0.03 and residual[wrong.later] > 0.1
+
+
+@pytest.mark.parametrize("jump", [1.5, 3.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_pairs_that_contradict_the_others_do_not_show_though_the_start_follows_them(seed, jump):
+    """A quarter of the pairs between two halves of a session are wrong by the same: a lamp was moved."""
+    rng, n = np.random.default_rng(seed), 80
+    pairs = [
+        Pair(
+            i, j, rng.normal(size=3) * 0.01 + (jump if i < 40 <= j and rng.random() < 0.25 else 0), np.full(3, 0.02), 1
+        )
+        for i in range(n)
+        for j in (i + 1, i + 2, i + 3, i + 7)
+        if j < n
+    ]
+    assert np.abs(solve_gains(n, pairs)[0]).max() < 0.1

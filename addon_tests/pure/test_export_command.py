@@ -210,6 +210,14 @@ def test_black_stays_black_and_the_brightest_channel_does_not_overflow():
     assert rgbe_of(np.array([[0.999999, 0, 0]])).tolist() == [[255, 0, 0, 128]]
 
 
+@pytest.mark.parametrize("dark", [5e-324, 1e-45, 1e-39])
+@pytest.mark.parametrize("bright", [1.8e38, 3e38, 1e39, 1e308])
+def test_what_the_format_cannot_say_is_black_or_as_bright_as_it_can_say(tmp_path, dark, bright):
+    (tmp_path / "a.hdr").write_bytes(encode_hdr(np.array([[[dark] * 3, [bright] * 3] * 4])))
+    assert read_hdr(tmp_path / "a.hdr")[0, ::4].tolist() == [[0] * 3] * 2
+    assert np.allclose(read_hdr(tmp_path / "a.hdr")[0, 1], 255 * 2.0**119)
+
+
 @pytest.mark.parametrize(
     "wrong", [np.zeros((4, 4, 3)), np.zeros((4, 16)), np.full((2, 8, 3), np.inf), -np.ones((2, 8, 3))]
 )

@@ -15,6 +15,7 @@ from xihenet.sphere import AnchorLattice
 SIDE = 200
 CAMERA = Intrinsics(SIDE, SIDE, 900.0, 900.0, SIDE / 2, SIDE / 2)
 CENTRE, RADIUS = np.array([0.3, -1.0, 0.8]), 0.1
+LATTICE = AnchorLattice(320)
 LIGHT = np.concatenate([np.full((1, 3), 1.2), np.random.default_rng(0).normal(size=(8, 3)) * 0.12])
 
 
@@ -77,6 +78,17 @@ def test_what_stands_before_the_sphere_hides_it():
     assert half == pytest.approx(whole / 2, rel=0.1)
     behind = looking_at_the_sphere(distance_m=-1.2)
     assert not mirror_sphere_cloud(behind, CENTRE, RADIUS, AnchorLattice(1280)).is_set.any()
+
+
+def test_pixels_whose_colour_is_not_to_be_used_show_no_light():
+    frame = drawn()
+    broken = np.random.default_rng(0).random((SIDE, SIDE)) < 0.3
+    picture, depth = frame.srgb_u8.copy(), frame.plane_depth_m.copy()
+    picture[broken], depth[broken] = 0, np.nan
+    cloud = mirror_sphere_cloud(looking_at_the_sphere(picture=picture, plane_depth_m=depth), CENTRE, RADIUS, LATTICE)
+    whole = mirror_sphere_cloud(frame, CENTRE, RADIUS, LATTICE)
+    both = cloud.is_set & whole.is_set
+    assert both.sum() > 0.7 * whole.is_set.sum() and np.abs(cloud.srgb[both] - whole.srgb[both]).max() < 0.1
 
 
 def test_radius_must_be_positive():

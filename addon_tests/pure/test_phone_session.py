@@ -172,6 +172,12 @@ def test_a_phone_delivers_its_own_frame_rate(scene_hz, phone_hz, share):
     assert is_delivered.mean() == pytest.approx(share, abs=0.002)
 
 
+@pytest.mark.parametrize("rate_hz", [30, 60])
+def test_times_since_1970_lose_no_frame_to_their_rounding(rate_hz):
+    times_s = 1.7e9 + np.arange(600) / rate_hz
+    assert delivered_frames(times_s, FrameRate(source="test", rate_hz=rate_hz, width_px=1)).all()
+
+
 def test_without_a_frame_rate_every_frame_is_delivered():
     assert delivered_frames([0, 0, 0], None).all()
     assert delivered_frames([], FrameRate(source="test", rate_hz=1, width_px=1)).shape == (0,)

@@ -105,6 +105,12 @@ def test_a_correlation_without_an_order_is_undefined():
         assert np.isnan(rank_correlation_interval(values, np.arange(len(a)), np.random.default_rng(0))).all()
 
 
+@pytest.mark.parametrize("n", [2, 7])
+def test_a_correlation_of_few_pairs_has_no_interval(n):
+    """Of places that lie in order every draw says 1, though the correlation of all places is lower."""
+    assert np.isnan(rank_correlation_interval(np.arange(n), np.arange(n), np.random.default_rng(0))).all()
+
+
 def test_the_interval_holds_the_correlation_and_narrows_with_more_pairs():
     rng, widths = np.random.default_rng(5), []
     for n in (20, 500):

@@ -45,6 +45,14 @@ def test_the_better_guess_has_the_lower_score_and_the_same_seed_the_same_interva
     assert scores == scored(frames, loaded, places_m) != scored(frames, loaded, places_m, seed=1)
 
 
+@pytest.mark.parametrize("n", [2, 5, 6])
+def test_fewer_than_six_places_have_no_interval(n):
+    """Of two places such an interval holds the truth in half of all cases, whatever is done."""
+    frames = walk(CAMERA, 12)
+    (only,) = scored(frames, {"near": Knows(0.25)}, score_places(frames, most=n))
+    assert only.n_places == n and ((only.low is None) is (only.high is None) is (n < 6))
+
+
 def test_what_the_room_shows_beats_one_colour():
     frames = walk(CAMERA, 12)
     loaded = {name: estimators.load(name, target="ldr") for name in ("ambient", "projection")}

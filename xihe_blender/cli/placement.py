@@ -49,10 +49,10 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     print(line, file=stdout)
     if results.verified is not None and results.verified.rank_correlation is not None:
         found = results.verified
-        low, high = found.interval or (float("nan"), float("nan"))
+        interval = f" ({found.interval[0]:.2f} to {found.interval[1]:.2f})" if found.interval else ""
         print(
-            f"rank correlation with the true error at {found.n_places} places: {found.rank_correlation:.2f} "
-            f"({low:.2f} to {high:.2f})" + (", too few to tell much" if found.n_places < ENOUGH else ""),
+            f"rank correlation with the true error at {found.n_places} places: {found.rank_correlation:.2f}{interval}"
+            + (", too few to tell much" if found.n_places < ENOUGH else ""),
             file=stdout,
         )
     print(options.out / "report.html", file=stdout)

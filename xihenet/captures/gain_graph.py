@@ -15,7 +15,7 @@ import numpy as np
 
 from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 
-N_WEIGHINGS = 4
+N_WEIGHINGS = 20  # The start may follow pairs that contradict the others; after four weighings it still shows.
 HUBER = 2.0  # Times its own standard error from which on a pair is weighed down
 MOST_ITERATIONS = 500
 PRECISE_TO = 1e-10  # Of the squared gradient at the start, of logarithms: far below what pictures of 8 bits tell

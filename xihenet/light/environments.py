@@ -78,12 +78,17 @@ def encode_hdr(picture: ArrayLike) -> bytes:
 
 
 def rgbe_of(radiance: ArrayF64) -> ArrayU8:
-    """(..., 4) uint8: mantissas of a common exponent, and the exponent."""
+    """(..., 4) uint8: mantissas of a common exponent, and the exponent.
+
+    What is darker than the format can say (some 3e-39) is black, and what is brighter (1.7e38) as bright as it can say.
+    """
     mantissa, exponent = np.frexp(radiance.max(axis=-1))
-    scale = np.where(mantissa > 0, np.ldexp(256.0, -exponent), 0.0)
+    is_sayable = (mantissa > 0) & (exponent >= 1 - 128)
+    exponent = np.where(is_sayable, np.minimum(exponent, 255 - 128), 0)
+    scale = np.where(is_sayable, np.ldexp(256.0, -exponent), 0.0)
     # What rounds up to 256 is one less: the exponent is of the brightest channel before it was rounded.
     colours = np.minimum(np.rint(radiance * scale[..., None]), 255)
-    exponents = np.where(mantissa > 0, exponent + 128, 0)[..., None]
+    exponents = np.where(is_sayable, exponent + 128, 0)[..., None]
     rgbe: ArrayU8 = np.concatenate([colours, exponents], axis=-1).astype(np.uint8)
     return rgbe
 

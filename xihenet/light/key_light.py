@@ -239,7 +239,7 @@ def _candidates(
     """Where the key light may be: bright patches that were seen, or else what the estimate implies."""
     seen = [] if cloud is None or lattice is None else bright_patches(cloud, lattice, is_exposed)
     shows = [one.irradiance for one in seen if is_exposed and one.may_be_brighter]
-    if max(shows, default=0) >= LAMP_SHOWS * float(luminance[0]) / _Y0:
+    if shows and max(shows) >= LAMP_SHOWS * float(luminance[0]) / _Y0:
         return seen
     implied = _implied(luminance, previous)
     if not seen:

@@ -46,8 +46,10 @@ def delivered_frames(times_s: Sequence[float], settings: FrameRate | None) -> Ar
     """(N,) which frames of a session at `times_s`, never decreasing, reach the app; all without a frame rate."""
     if settings is None or not len(times_s):
         return np.ones(len(times_s), bool)
-    # A frame a rounding error before its tick still belongs to it.
-    ticks = np.floor((np.asarray(times_s, np.float64) - times_s[0]) * settings.rate_hz + 1e-6)
+    times = np.asarray(times_s, np.float64)
+    # A frame a rounding error before its tick still belongs to it; times since 1970 are rounded to 0.2 microseconds.
+    rounding = max(1e-6, 2 * float(np.spacing(np.abs(times).max())) * settings.rate_hz)
+    ticks = np.floor((times - times[0]) * settings.rate_hz + rounding)
     return np.concatenate([[True], np.diff(ticks) > 0])
 
 
