@@ -21,10 +21,12 @@ from xihe_blender.addon.results_in_blender import (
     ERROR_CURVE,
     apply_results,
     go_to_trigger,
+    left_out,
     light_in_force,
     remove_everything,
     show_comparison,
     show_light,
+    show_lit,
 )
 from xihe_blender.addon.run_settings import run_and_show
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
@@ -163,9 +165,26 @@ def test_the_light_can_be_applied_to_another_file_with_the_same_objects(shown, t
     assert {name: list(by_frame) for name, by_frame in again.items()} == {n: list(f) for n, f in light.items()}
 
 
-def test_light_of_an_object_that_is_gone_is_refused(shown):
+def test_an_object_that_is_gone_takes_no_light_from_the_others(shown):
+    scene, whole = bpy.context.scene, {name: list(of_one) for name, of_one in light_on_the_timeline().items()}
+    assert left_out(scene, shown) is None
+    bpy.data.objects["Ball"].name = "Renamed"
+    remove_everything(scene)
+    bpy.ops.xihe.apply_light()
+    light = {name: list(of_one) for name, of_one in light_on_the_timeline().items()}
+    assert light == {"Xihe Board": whole["Xihe Board"]}
+    missing = "'Ball' of the last run is not in this scene any more: run again, or give it back its name"
+    assert left_out(scene, shown) == missing
+    assert [layer.name for layer in show_lit(scene, shown).view_layers] == ["Xihe Board"]
+    bpy.data.objects["Renamed"].name = "Ball"
+    bpy.ops.xihe.apply_light()
+    assert {name: list(of_one) for name, of_one in light_on_the_timeline().items()} == whole
+
+
+def test_light_of_objects_that_are_all_gone_is_refused(shown):
+    bpy.data.objects.remove(bpy.data.objects["Board"])
     bpy.data.objects.remove(bpy.data.objects["Ball"])
-    with pytest.raises(RuntimeError, match="'Ball' of the last run is not in this scene any more: run again"):
+    with pytest.raises(RuntimeError, match="'Ball', 'Board' of the last run are not in this scene any more: run again"):
         bpy.ops.xihe.apply_light()
 
 

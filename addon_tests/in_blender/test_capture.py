@@ -214,6 +214,18 @@ def test_the_material_override_of_a_view_layer_does_not_reach_the_phone():
     np.testing.assert_array_equal(captured(scene).srgb_u8, plain.srgb_u8)
 
 
+def test_text_burnt_into_renders_and_a_view_layer_that_is_not_rendered_do_not_reach_the_phone():
+    scene = room_with_a_virtual_sphere()
+    expected = captured(scene)
+    scene.render.use_stamp = scene.render.use_stamp_date = scene.render.use_stamp_note = True
+    scene.render.stamp_font_size, scene.render.stamp_background = 30, (1, 0, 0, 1)
+    scene.view_layers[0].use = False
+    frame = captured(scene)
+    np.testing.assert_array_equal(frame.srgb_u8, expected.srgb_u8)
+    np.testing.assert_array_equal(frame.plane_depth_m, expected.plane_depth_m)
+    assert scene.render.use_stamp and not scene.view_layers[0].use
+
+
 @pytest.mark.slow
 def test_memory_stays_flat_over_300_captures():
     scene = room_with_a_virtual_sphere(n_frames=8)

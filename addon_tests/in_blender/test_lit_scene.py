@@ -18,11 +18,14 @@ from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, has_anything, lit_scene
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, remove_lit_scene, set_up_lit_scene
 from xihe_blender.errors import UserError
+from xihe_blender.footage.camera import key_camera
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.frame_files import FrameCamera
 from xihenet.light.key_light import rest_of
+from xihenet.records import Intrinsics
 
 SETTINGS = QuickProbes(**DRAFT, estimator="projection", samples=16)
 
@@ -240,17 +243,58 @@ def test_the_first_and_last_picture_stay_where_the_path_goes_on_without_one(tmp_
     assert [file.read_text() for file in sorted((tmp_path / "lit").iterdir())] == 4 * ["third"] + 3 * ["fifth"]
 
 
-def test_its_worlds_are_keyed_and_its_camera_is_a_copy(shown):
+def placed(scene, frame):
+    """Where the camera of `scene` is, and its lens and shift."""
+    scene.frame_set(frame)
+    camera = scene.camera.evaluated_get(scene.view_layers[0].depsgraph)
+    where = np.array(camera.matrix_world).ravel()
+    return np.concatenate([where, np.array([camera.data.angle, camera.data.shift_x, camera.data.shift_y])])
+
+
+def test_its_worlds_are_keyed_and_its_camera_is_where_the_phone_was(shown):
     assert shown.world.name == "Xihe Board" and shown.world.node_tree.animation_data.action is not None
     assert {layer.world_override.name for layer in shown.view_layers} == {"Xihe Ball", "Xihe Board", "Xihe Unseen"}
     room = bpy.data.scenes["Scene"]
     assert shown.camera != room.camera and not room.camera.data.background_images
-    for frame in (1, N_FRAMES):
-        room.frame_set(frame)
-        shown.frame_set(frame)
-        depsgraphs = [(scene.camera, scene.view_layers[0].depsgraph) for scene in (room, shown)]
-        placed = [camera.evaluated_get(depsgraph).matrix_world for camera, depsgraph in depsgraphs]
-        assert placed[0] == placed[1] != Matrix()
+    before = {frame: placed(room, frame) for frame in (1, N_FRAMES)}
+    room.camera.animation_data_clear()
+    room.camera.data.animation_data_clear()
+    room.camera.location, room.camera.data.lens = (9, 9, 9), 99
+    for frame, expected in before.items():
+        np.testing.assert_allclose(placed(shown, frame), expected, atol=2e-6)
+        assert np.abs(placed(room, frame) - expected).max() > 1
+
+
+def test_where_a_capture_is_gone_the_camera_is_a_copy(ran, shown):
+    room = bpy.data.scenes["Scene"]
+    path, away = RunOutputs(ran.out).capture(2), ran.out / "away.exr"
+    path.rename(away)
+    try:
+        lit = show_lit(room, ran.out)
+        for frame in (1, N_FRAMES):
+            np.testing.assert_array_equal(placed(lit, frame), placed(room, frame))
+    finally:
+        away.rename(path)
+
+
+def test_the_phone_stays_where_it_captured_the_picture_that_is_shown():
+    scene = room_with_a_virtual_sphere()
+    data = bpy.data.cameras.new("Phone")
+    scene.camera = bpy.data.objects.new("Phone", data)
+    scene.collection.objects.link(scene.camera)
+    cameras = {}
+    for frame, turn in ((2, 0.0), (3, 0.5), (7, 1.0)):
+        pose = np.array(Matrix.Rotation(turn, 4, "X") @ Matrix.Translation((turn, 2, 3)))
+        cameras[frame] = FrameCamera(Intrinsics(64, 48, 50 + frame, 50 + frame, 32, 24 + frame), pose, np.eye(3))
+    key_camera(scene.camera, cameras, 0.5, is_held=True)
+    found = {frame: placed(scene, frame) for frame in range(1, 10)}
+    for frames in ((1, 2), (3, 4, 5, 6), (7, 8, 9)):
+        assert all(np.array_equal(found[frame], found[frames[0]]) for frame in frames)
+    for frame, camera in cameras.items():
+        expected = camera.world_from_camera.copy()
+        expected[:3, 3] *= 2
+        np.testing.assert_allclose(found[frame][:16], expected.ravel(), atol=1e-6)
+        assert found[frame][16] == pytest.approx(2 * np.arctan(32 / (50 + frame)))
 
 
 def test_it_is_saved_with_the_file_and_shown_again_in_place_of_itself(ran, shown, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from xihe_blender.addon import polls
@@ -17,6 +19,10 @@ FLOOR = ("show_floor", "show_axis_x", "show_axis_y")
 """Lines that would lie over the captured frame, which is itself an overlay."""
 
 
+_views: dict[int, str] = {}
+"""The same by area, while the file is open: Undo and Remove Light take the lit scene away. The number is Blender's."""
+
+
 class XIHE_OT_apply_light(Action, bpy.types.Operator):
     bl_idname = "xihe.apply_light"
     bl_label = "Apply"
@@ -24,10 +30,12 @@ class XIHE_OT_apply_light(Action, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)
 
-    def act(self, context: bpy.types.Context) -> None:
-        from xihe_blender.addon.results_in_blender import apply_results
+    def act(self, context: bpy.types.Context) -> str | None:
+        from xihe_blender.addon.results_in_blender import apply_results, left_out
 
-        apply_results(context.scene, last_run_folder(context.scene))
+        scene, folder = context.scene, last_run_folder(context.scene)
+        apply_results(scene, folder)
+        return left_out(scene, folder)
 
 
 class XIHE_OT_show_lit(Action, bpy.types.Operator):
@@ -41,14 +49,15 @@ class XIHE_OT_show_lit(Action, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)
 
-    def act(self, context: bpy.types.Context) -> None:
-        from xihe_blender.addon.results_in_blender import show_lit
+    def act(self, context: bpy.types.Context) -> str | None:
+        from xihe_blender.addon.results_in_blender import left_out, show_lit
 
-        scene, active = context.scene, context.view_layer.objects.active
-        lit = show_lit(scene, last_run_folder(scene), active.name if active else "")
+        scene, folder, active = context.scene, last_run_folder(context.scene), context.view_layer.objects.active
+        lit = show_lit(scene, folder, active.name if active else "")
         if context.window is not None:
             _enter(context, lit)
             read_ahead(scene)
+        return left_out(scene, folder)
 
 
 class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
@@ -67,11 +76,9 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
         room.frame_set(lit.frame_current)
         if context.window is not None:
             context.window.scene = room
-        if VIEW_BEFORE in lit and context.area.type == "VIEW_3D":
-            space = context.area.spaces.active
-            space.shading.type, space.region_3d.view_perspective, *shown = lit[VIEW_BEFORE].split()
-            for line in FLOOR:
-                setattr(space.overlay, line, line in shown)
+        if VIEW_BEFORE in lit and context.area.type == "VIEW_3D" and context.area.as_pointer() not in _views:
+            _put_back(context.area, lit[VIEW_BEFORE])
+        _put_views_back()
         return {"FINISHED"}
 
 
@@ -82,10 +89,36 @@ def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
     if context.area is not None and context.area.type == "VIEW_3D":
         space = context.area.spaces.active
         shown = [line for line in FLOOR if getattr(space.overlay, line)]
-        lit[VIEW_BEFORE] = " ".join([space.shading.type, space.region_3d.view_perspective, *shown])
+        before = " ".join([space.shading.type, space.region_3d.view_perspective, *shown])
+        lit[VIEW_BEFORE] = before = _views.setdefault(context.area.as_pointer(), before)
         space.shading.type, space.region_3d.view_perspective = "RENDERED", "CAMERA"
         for line in FLOOR:
             setattr(space.overlay, line, False)
+
+
+def _put_views_back() -> None:
+    for area in (area for window in bpy.context.window_manager.windows for area in window.screen.areas):
+        if area.type == "VIEW_3D" and area.as_pointer() in _views:
+            _put_back(area, _views[area.as_pointer()])
+    _views.clear()
+
+
+def _put_back(area: bpy.types.Area, before: str) -> None:
+    space = area.spaces.active
+    space.shading.type, space.region_3d.view_perspective, *shown = before.split()
+    for line in FLOOR:
+        setattr(space.overlay, line, line in shown)
+
+
+@bpy.app.handlers.persistent
+def _after_undo(*_: Any) -> None:
+    if _views and not any(ROOM in window.scene for window in bpy.context.window_manager.windows):
+        _put_views_back()
+
+
+@bpy.app.handlers.persistent
+def _after_load(*_: Any) -> None:
+    _views.clear()
 
 
 class XIHE_OT_remove_light(Action, bpy.types.Operator):
@@ -99,8 +132,28 @@ class XIHE_OT_remove_light(Action, bpy.types.Operator):
         from xihe_blender.addon.results_in_blender import remove_everything
 
         remove_everything(context.scene)
+        _put_views_back()
 
 
-register, unregister = bpy.utils.register_classes_factory(
-    (XIHE_OT_apply_light, XIHE_OT_show_lit, XIHE_OT_show_room, XIHE_OT_remove_light)
-)
+CLASSES = (XIHE_OT_apply_light, XIHE_OT_show_lit, XIHE_OT_show_room, XIHE_OT_remove_light)
+
+
+def _handlers() -> list[tuple[list[Any], Any]]:
+    handlers = bpy.app.handlers
+    undone = [(handlers.undo_post, _after_undo), (handlers.redo_post, _after_undo)]
+    return [*undone, (handlers.load_post, _after_load)]
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    for handlers, called in _handlers():
+        handlers.append(called)
+
+
+def unregister() -> None:
+    for handlers, called in _handlers():
+        handlers.remove(called)
+    _views.clear()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -11,7 +11,7 @@ file with the same objects. `remove_everything` takes away all that this and `ap
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import bpy
@@ -48,9 +48,11 @@ from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene, reflected_of
 from xihe_blender.previs.results import last_surfaces
 from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.frame_files import FrameCamera
 from xihenet.kept_walk import FoundLight
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
+from xihenet.recording import read_header
 from xihenet.records import ArrayF64, ObjectLight
 
 ERROR_CURVE, COVERAGE_CURVE, EXPECTED_CURVE = "Xihe SHC RMSE", "Xihe coverage", "Xihe expected error"
@@ -61,7 +63,7 @@ LIGHT_HEIGHT = 64
 def show_results(scene: bpy.types.Scene, folder: Path) -> None:
     """Show a run whose light is on the timeline of `scene` already: curves and pictures."""
     results = read_results(folder)
-    for name in results.lights:
+    for name in lit_here(scene, results):
         # The file's own world: one of a linked library may have the same name.
         _key_curves(bpy.data.worlds[world_name(name), None], results, name)
     show_images(scene, folder)
@@ -70,26 +72,42 @@ def show_results(scene: bpy.types.Scene, folder: Path) -> None:
 def apply_results(scene: bpy.types.Scene, folder: Path) -> None:
     """Put the light of a run onto the timeline of `scene` and show the run, from its folder alone.
 
-    UserError if a virtual object of the run is not in the scene.
+    Objects of the run that are not in the scene any more are left out; UserError if none is.
     """
     results = read_results(folder)
-    here = {item.name for item in virtual_objects(scene)}
-    missing = [name for name in results.lights if name not in here]
-    if missing:
-        raise UserError(f"virtual object {missing[0]!r} of the last run is not in this scene any more: run again")
+    lights = {name: results.lights[name] for name in lit_here(scene, results)}
+    if not lights and (missing := left_out(scene, folder)) is not None:
+        raise UserError(missing)
     made = results.settings
     exposure, has_key_light = made.reference_exposure, made.has_key_light
-    apply_lights(scene, results.lights, results.frames, exposure, folder, has_key_light=has_key_light)
+    apply_lights(scene, lights, results.frames, exposure, folder, has_key_light=has_key_light)
     show_results(scene, folder)
+
+
+def lit_here(scene: bpy.types.Scene, results: RunResults) -> list[str]:
+    """Names of the virtual objects that the run lit and that are still in `scene`."""
+    here = {item.name for item in virtual_objects(scene)}
+    return [name for name in results.lights if name in here]
+
+
+def left_out(scene: bpy.types.Scene, folder: Path) -> str | None:
+    """Which objects of the run in `folder` are not in `scene`, in a sentence; None if all are."""
+    results = read_results(folder)
+    missing = [repr(name) for name in results.lights if name not in lit_here(scene, results)]
+    if not missing:
+        return None
+    said, names = ("is", "it back its name") if len(missing) == 1 else ("are", "them back their names")
+    return f"{', '.join(missing)} of the last run {said} not in this scene any more: run again, or give {names}"
 
 
 def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.types.Scene:
     """A scene `Xihe Lit` in the open file for a run of `scene`, in place of an older one; its world is `active`'s.
 
-    UserError if a virtual object of the run is not in the scene any more, or if nothing was captured.
+    UserError if no virtual object of the run is in the scene any more, or if nothing was captured.
     """
     results = read_results(folder)
-    if any(name not in applied_worlds(scene) for name in results.lights):
+    here = lit_here(scene, results)
+    if (results.lights and not here) or any(name not in applied_worlds(scene) for name in here):
         apply_results(scene, folder)
     captured = [entry.frame for entry in results.captured_frames]
     pictures = {frame: RunOutputs(folder).picture("captured", frame) for frame in captured}
@@ -97,15 +115,26 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     if gone or not pictures:
         raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
     remove_lit_scene()
-    objects, lit_here = virtual_objects(scene), applied_worlds(scene)
-    lit = make_lit_scene(scene, [item for item in objects if item.name in lit_here], last_surfaces(results.frames))
+    objects, worlds = virtual_objects(scene), applied_worlds(scene)
+    lit = make_lit_scene(scene, [item for item in objects if item.name in worlds], last_surfaces(results.frames))
     hide_behind_room(lit, scene, objects)
     lit[ROOM] = scene
     exposure = results.settings.reference_exposure
     path = range(results.frames[0].frame, results.frames[-1].frame + 1)
-    put_over_frames(lit, CapturedFrames(pictures, path, folder / "lit", results.settings.size, exposure))
+    size, cameras = results.settings.size, phone_cameras(folder, captured)
+    put_over_frames(lit, CapturedFrames(pictures, path, folder / "lit", size, exposure, cameras))
     lit.world = applied_worlds(scene).get(active, lit.world)
     return lit
+
+
+def phone_cameras(folder: Path, captured: Sequence[int]) -> dict[int, FrameCamera]:
+    """The phone at each frame that the run in `folder` captured; empty where a capture is not kept any more."""
+    try:
+        headers = [read_header(RunOutputs(folder).capture(frame)) for frame in captured]
+    except (OSError, ValueError):
+        return {}
+    poses = [FrameCamera(header.intrinsics, header.world_from_camera, np.eye(3)) for header in headers]
+    return dict(zip(captured, poses, strict=True))
 
 
 def show_found_light(
@@ -192,8 +221,8 @@ def _key(world: bpy.types.World, curve: str, frame: int, values: list[float]) ->
 def show_images(scene: bpy.types.Scene, folder: Path) -> None:
     """Make the images of a run show the current frame of `scene`."""
     results, frame = read_results(folder), scene.frame_current
-    for name, changes in results.lights.items():
-        if changes:
+    for name in lit_here(scene, results):
+        if results.lights[name]:
             show_light(name, light_in_force(results, name, frame) / results.settings.reference_exposure)
         else:
             # Nothing was ever in view, and a picture of an earlier run would say otherwise.

@@ -1,7 +1,7 @@
 """The scene `Xihe Lit`: the virtual objects alone under their estimated light, over the frames that the phone captured.
 
-A view layer has one world, so each object has a view layer of its own, in which the others hold out. Its camera is a
-copy of the phone with the captured frames behind it; rendering puts all layers over those frames. Colours are shown at
+A view layer has one world, so each object has a view layer of its own, in which the others hold out. Its camera is the
+phone as it was when it captured what is behind it; rendering puts all layers over those frames. Colours are shown at
 the run's exposure and by the view transform Standard, as the pictures of the report are. What stands in front of an
 object in the room hides it: copies of the room's objects hold out, and no light meets them.
 
@@ -14,14 +14,20 @@ import math
 import os
 import shutil
 from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
+from mathutils import Matrix
 
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, lit_scene
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
+from xihe_blender.scene.units import metres_per_unit
+
+if TYPE_CHECKING:
+    from xihenet.frame_files import FrameCamera
 
 PHONE = "Xihe Phone"
 """Begins the names of the copied cameras."""
@@ -39,6 +45,7 @@ class CapturedFrames:
 
     Between two of them the earlier one stays, as the last one does to the end of `path`; before the first, that one is
     shown. A picture for each frame is put into `folder`, numbered from 1 on, as Blender reads image sequences.
+    `cameras` are the phone at each picture, as long as that is shown; without them the room's camera stands for it.
     """
 
     pictures: Mapping[int, Path]
@@ -46,6 +53,7 @@ class CapturedFrames:
     folder: Path
     size: tuple[int, int]
     exposure: float
+    cameras: Mapping[int, FrameCamera] = field(default_factory=dict)
 
     @property
     def frames(self) -> range:
@@ -79,7 +87,8 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     for owner in (lit, *lit.timeline_markers):
         if owner.camera is not None:
             if owner.camera not in copies:
-                copies[owner.camera] = _phone_with(owner.camera, image, frames)
+                phone = _phone_with(owner.camera, image, frames, metres_per_unit(lit), lit.frame_current)
+                copies[owner.camera] = phone
                 lit.collection.objects.link(copies[owner.camera])
             owner.camera = copies[owner.camera]
     render, view = lit.render, lit.view_settings
@@ -125,10 +134,22 @@ def _seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
         yield from _seen_in(child)
 
 
-def _phone_with(camera: bpy.types.Object, image: bpy.types.Image, frames: CapturedFrames) -> bpy.types.Object:
-    phone = camera.copy()
+def _phone_with(
+    camera: bpy.types.Object, image: bpy.types.Image, frames: CapturedFrames, unit_m: float, now: int
+) -> bpy.types.Object:
+    phone = bpy.data.objects.new(PHONE, camera.data) if frames.cameras else camera.copy()
     phone.data = camera.data.copy()
     phone.name = phone.data.name = PHONE
+    if frames.cameras:
+        from xihe_blender.footage.camera import key_camera
+
+        phone.data.animation_data_clear()
+        key_camera(phone, frames.cameras, unit_m, is_held=True)
+        # Blender may evaluate it before a window shows it, and then keeps where it is to itself.
+        reached = max((frame for frame in frames.cameras if frame <= now), default=min(frames.cameras))
+        pose = frames.cameras[reached].world_from_camera.copy()
+        pose[:3, 3] /= unit_m
+        phone.matrix_world = Matrix(pose.tolist())
     phone.data.show_background_images = True
     phone.data.background_images.clear()
     behind = phone.data.background_images.new()
@@ -214,6 +235,8 @@ def remove_lit_scene() -> None:
     own |= {item for item in lit.objects if ROOM_COPY in item}
     for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
         own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
+        actions = [owner.animation_data.action for owner in (camera, camera.data) if owner.animation_data is not None]
+        own |= {action for action in actions if action is not None and action.name.startswith(PHONE)}
     bpy.data.scenes.remove(lit)
     remove_lit_collections()
     # At once: with its data an object goes too.

@@ -93,7 +93,9 @@ def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -
 
 
 def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
-    """Make `scene` render plain radiance: no border, compositor, sequencer, film exposure or adaptive sampling.
+    """Make `scene` render plain radiance: no border, compositor, sequencer, text, film exposure or adaptive sampling.
+
+    Its view layers render, as the viewport shows them, though the user may have left one out of their own renders.
 
     UserError where the user has turned Cycles off.
     """
@@ -104,7 +106,7 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
     render.resolution_x, render.resolution_y = settings.size
     render.resolution_percentage = 100
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
-    for switch in ("use_border", "use_compositing", "use_sequencer", "use_multiview", "use_motion_blur"):
+    for switch in ("use_border", "use_compositing", "use_sequencer", "use_multiview", "use_motion_blur", "use_stamp"):
         setattr(render, switch, False)
     render.film_transparent = False
     # 0.4 s -> 0.04 s per small render; new pixels in an existing world image would be missed, so none are ever made.
@@ -119,7 +121,7 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
         # The accurate prefilter runs the denoiser three times over: 0.5 s more per small picture, no visible gain.
         cycles.denoising_prefilter = "FAST"
     for layer in scene.view_layers:
-        layer.samples = 0
+        layer.use, layer.samples = True, 0
         layer.material_override = None
         layer.use_pass_combined = layer.use_pass_z = True
     apply_effects(scene, settings.light_transport)

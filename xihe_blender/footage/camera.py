@@ -26,22 +26,31 @@ CLIP_START_M = 0.02
 
 def add_camera(name: str, cameras: Mapping[int, FrameCamera], unit_m: float) -> bpy.types.Object:
     """A camera, in no collection yet, keyed at the frames of `cameras`; `unit_m` are metres in a Blender unit."""
-    data = bpy.data.cameras.new(name)
-    item = bpy.data.objects.new(name, data)
+    item = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+    item.data.clip_start = CLIP_START_M / unit_m
+    key_camera(item, cameras, unit_m)
+    return item
+
+
+def key_camera(
+    item: bpy.types.Object, cameras: Mapping[int, FrameCamera], unit_m: float, *, is_held: bool = False
+) -> None:
+    """Have the camera `item`, which nothing else moves, go by `cameras`, as `add_camera` says.
+
+    With `is_held` it stays where it is at a frame until the next one of `cameras`, and goes between neighbours alone.
+    """
+    data, item.rotation_mode = item.data, "QUATERNION"
     data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
-    data.clip_start = CLIP_START_M / unit_m
-    item.rotation_mode = "QUATERNION"
     frames, poses = list(cameras), np.stack([one.world_from_camera for one in cameras.values()])
-    key_values(item, "location", frames, poses[:, :3, 3] / unit_m)
-    key_values(item, "rotation_quaternion", frames, quaternions(poses[:, :3, :3]))
+    key_values(item, "location", frames, poses[:, :3, 3] / unit_m, is_held=is_held)
+    key_values(item, "rotation_quaternion", frames, quaternions(poses[:, :3, :3]), is_held=is_held)
     lenses = np.array([lens_of(one.intrinsics) for one in cameras.values()])
     changes = np.ptp(lenses, axis=0) > SAME_PX / cameras[frames[0]].intrinsics.width
     for name_of, values, is_changing in zip(("lens", "shift_x", "shift_y"), lenses.T, changes, strict=True):
         scaled = values * (SENSOR_MM if name_of == "lens" else 1.0)
         setattr(data, name_of, float(scaled[0]))
         if is_changing:
-            key_values(data, name_of, frames, scaled[:, None])
-    return item
+            key_values(data, name_of, frames, scaled[:, None], is_held=is_held)
 
 
 def lens_of(k: Intrinsics) -> tuple[float, float, float]:
@@ -65,8 +74,13 @@ def quaternions(rotations: ArrayF64) -> ArrayF64:
     return found
 
 
-def key_values(owner: bpy.types.ID, path: str, frames: Sequence[int], values: ArrayF64) -> None:
-    """Key a property at `frames` with `values` (N, K), K of its elements or 1, linear between them."""
+def key_values(
+    owner: bpy.types.ID, path: str, frames: Sequence[int], values: ArrayF64, *, is_held: bool = False
+) -> None:
+    """Key a property at `frames`, rising, with `values` (N, K), K of its elements or 1, linear between them.
+
+    With `is_held` only between neighbours: else each holds until the next.
+    """
     is_array = hasattr(getattr(owner, path), "__len__")
     setattr(owner, path, values[0].tolist() if is_array else float(values[0, 0]))
     owner.keyframe_insert(path, frame=frames[0])
@@ -75,6 +89,6 @@ def key_values(owner: bpy.types.ID, path: str, frames: Sequence[int], values: Ar
         points.add(len(frames) - 1)
         co = np.stack([np.array(frames, np.float64), values[:, curve.array_index]], axis=1)
         points.foreach_set("co", co.astype(np.float32).ravel())
-        for point in points:
-            point.interpolation = "LINEAR"
+        for point, after in zip(points, np.diff(frames, append=frames[-1]), strict=True):
+            point.interpolation = "CONSTANT" if is_held and after > 1 else "LINEAR"
         curve.update()

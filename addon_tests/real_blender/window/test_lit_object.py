@@ -76,6 +76,12 @@ def test_remove_leaves_nothing(first_success):
     assert first_success.facts["removed"] == first_success.facts["before"] == {kind: [] for kind in KINDS}
 
 
+def test_undo_of_show_lit_and_remove_light_give_the_3d_view_back(first_success):
+    before, lit, undone, removed = first_success.facts["views"]
+    assert lit == ["Xihe Lit", "RENDERED", "CAMERA", False] != before
+    assert undone == removed == before
+
+
 @pytest.mark.parametrize("add_on", ["none", None], ids=["without the add-on", "with it again"])
 def test_a_file_that_was_saved_with_results_opens(first_success, tmp_path, add_on):
     seen = played("look", tmp_path, blend=first_success.out / "saved.blend", add_on=add_on)

@@ -58,6 +58,7 @@ def scenario(w):
     yield from see_it_lit(w)
     yield from see_the_comparison(w)
     yield from undo_and_redo(w)
+    yield from undo_the_lit_scene(w)
     bpy.ops.wm.save_as_mainfile(filepath=str(w.out / "saved.blend"), copy=True)
     yield from see_the_map(w)
     yield from remove(w)
@@ -194,6 +195,22 @@ def undo_and_redo(w):
     yield from w.picture("8_redone")
 
 
+def view_now(w):
+    space = w.area.spaces.active
+    return [w.window.scene.name, space.shading.type, space.region_3d.view_perspective, space.overlay.show_floor]
+
+
+def undo_the_lit_scene(w):
+    before = view_now(w)
+    with w.context():
+        bpy.ops.xihe.show_lit("EXEC_DEFAULT", True)
+    yield 0.5
+    w.facts["views"] = [before, view_now(w)]
+    yield from press_until(w, "ctrl+z", lambda: w.window.scene.name == "Scene")
+    yield 0.5
+    w.facts["views"].append(view_now(w))
+
+
 def press_until(w, key, is_there, at_most=5):
     """Changes of the wipe count as steps of their own; how many it took is noted."""
     n = 0
@@ -205,9 +222,13 @@ def press_until(w, key, is_there, at_most=5):
 
 
 def remove(w):
+    with w.context():
+        bpy.ops.xihe.show_lit()
+    yield 0.5
     yield from w.click_on("xihe.remove_light", across=0.7)
     yield 0.8
     w.facts["removed"] = left_in_file()
+    w.facts["views"].append(view_now(w))
     yield from w.picture("9_removed")
     # The run's own folder is the user's to keep; a test's is not.
     shutil.rmtree(bpy.context.scene.xihe.run_folder)
