@@ -8,6 +8,7 @@ import pytest
 from renders import rendered
 from tiny_scenes import empty_scene, material, orthographic, sphere
 
+from xihe_blender.apply.applied_lights import lights_of_scene
 from xihe_blender.apply.images import as_environment
 from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun
 from xihe_blender.apply.reflection_pictures import (
@@ -18,9 +19,11 @@ from xihe_blender.apply.reflection_pictures import (
     reflect_on_timeline,
     reflects,
 )
-from xihe_blender.apply.sh_worlds import apply_sh_to_world, f_curves, key_light_changes, make_sh_world
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, f_curves, key_light_changes, make_sh_world, world_name
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.io.exr import write_radiance
+from xihe_blender.io.run_lights import LightsAsked
+from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.reflections import reflection_panorama, without_key_light
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions
@@ -156,6 +159,20 @@ def test_pictures_take_turns_on_the_timeline(tmp_path):
     assert len(f_curves(scene.world.node_tree)) == n_curves - 1 == 28
     scene.frame_set(3)
     assert at(rendered(scene, (SIDE, SIDE), 16), 0.5, 0.5) == pytest.approx([0.2] * 3, abs=0.01)
+
+
+def test_the_light_of_an_object_that_reflects_is_read_back_from_its_file(tmp_path):
+    """Reflections are keyed in the same nodes, at frames of their own, at which no light is."""
+    write_radiance(tmp_path / "0_Ball_0001.exr", np.zeros((16, 32, 3), np.float32))
+    scene = empty_scene()
+    sphere(scene, "Ball", (0, 0, 0), 1.0, None, virtual_collection(scene, create=True))
+    world = make_sh_world(world_name("Ball"))
+    key_light_changes(world, {1: FLAT, 7: 3 * FLAT}, 0.5)
+    reflect_on_timeline(world, {9: tmp_path / "0_Ball_0001.exr"})
+    lights = lights_of_scene(scene, LightsAsked(everything=True))
+    assert [light.frame for light in lights] == [1, 7]
+    for light, factor in zip(lights, (1, 3), strict=True):
+        assert light.light.sh == pytest.approx(factor * FLAT, abs=1e-6)
 
 
 def test_a_mirror_ball_shows_the_lamps_that_glossy_rays_see_and_the_scene_stays_as_it_was():

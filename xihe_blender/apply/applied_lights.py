@@ -7,7 +7,7 @@ import numpy as np
 from mathutils import Quaternion
 
 from xihe_blender.apply.key_suns import applied_suns
-from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, applied_worlds, f_curves, inputs_of_world
+from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, applied_worlds, f_curves, inputs_of_world, light_curves
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_lights import LightsAsked
 from xihe_blender.scene.units import seconds_of
@@ -29,7 +29,7 @@ def lights_of_scene(scene: bpy.types.Scene, asked: LightsAsked) -> list[NamedLig
         raise UserError(f"the file has no lit virtual object {unknown[0]!r}; it has {', '.join(worlds)}")
     found = []
     for name in chosen:
-        keyed = {round(point.co[0]) for curve in f_curves(worlds[name].node_tree) for point in curve.keyframe_points}
+        keyed = {round(point.co[0]) for _, curve in light_curves(worlds[name]) for point in curve.keyframe_points}
         keyed = keyed or {scene.frame_current}
         for frame in sorted(keyed) if asked.everything else [max(keyed) if asked.frame is None else asked.frame]:
             light, exposure = _light_at(worlds[name], applied_suns(scene).get(name), frame)
@@ -66,8 +66,7 @@ def _light_at(world: bpy.types.World, sun: bpy.types.Object | None, frame: int) 
     inputs = inputs_of_world(world)
     rest = np.array([tuple(inputs[one].default_value) for one in COEFFICIENTS], np.float64)[:, :3]
     gain = float(inputs[GAIN].default_value)
-    for curve in f_curves(world.node_tree):
-        index = int(curve.data_path.rsplit("[", 1)[1].split("]")[0])
+    for index, curve in light_curves(world):
         if index < len(COEFFICIENTS):
             rest[index, curve.array_index] = curve.evaluate(frame)
         else:

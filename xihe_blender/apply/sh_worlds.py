@@ -127,8 +127,7 @@ def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], e
     frames = np.array(list(lights), np.float32)
     values = np.stack([np.asarray(light, np.float64) for light in lights.values()])
     key_sh_on_world(world, int(frames[0]), values[0], exposure)
-    for curve in f_curves(world.node_tree):
-        index = int(curve.data_path.rsplit("[", 1)[1].split("]")[0])
+    for index, curve in light_curves(world):
         own = values[:, index, curve.array_index] if index < len(COEFFICIENTS) else np.full(len(frames), 1 / exposure)
         points = curve.keyframe_points
         points.add(len(frames) - 1)
@@ -195,6 +194,16 @@ def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
 def f_curves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
     """The F-curves that key `owner`, such as a world, a node tree, an object or a light."""
     return [curve for curves in curve_lists(owner) for curve in curves]
+
+
+def light_curves(world: bpy.types.World) -> list[tuple[int, bpy.types.FCurve]]:
+    """The F-curves that key the light of `world`, each with the number of its input: of COEFFICIENTS, then the gain.
+
+    Reflections and what a user keys in the same nodes have curves of their own, which are not among them.
+    """
+    begin = f'nodes["{NODE_GROUP_NAME}"].inputs['
+    curves = [curve for curve in f_curves(world.node_tree) if curve.data_path.startswith(begin)]
+    return [(int(curve.data_path[len(begin) :].split("]")[0]), curve) for curve in curves]
 
 
 def hold_keys(owner: bpy.types.ID) -> None:
