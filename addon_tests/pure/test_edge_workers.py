@@ -20,6 +20,8 @@ from xihenet.codec import encode_cloud
 from xihenet.edge.batching import Inference
 from xihenet.edge.client import EdgeBackend
 from xihenet.edge.http_settings import ServerSettings
+from xihenet.edge.server import bound
+from xihenet.edge.workers import serve_by_workers
 from xihenet.records import UnitSphereCloud
 
 pytestmark = pytest.mark.wheel_only("a whole Blender has neither Tornado nor redis-py")
@@ -118,6 +120,14 @@ def test_a_store_that_is_killed_is_said_and_sessions_go_on_once_it_is_back(two, 
         time.sleep(0.05)
     status, answer = two[1].light(session, token, payloads[1])
     assert status == 200 and answer["coverage"] == (first.is_set | second.is_set).mean()
+
+
+def test_workers_do_not_join_those_of_another_server_at_its_port():
+    with closing(bound(ServerSettings(port=0, worker=0))) as another:
+        another.listen()
+        settings = ServerSettings(port=another.getsockname()[1])
+        with pytest.raises(OSError, match="in use"):
+            serve_by_workers(Inference("projection"), settings, 0, pytest.fail, log_to=2)
 
 
 @pytest.mark.slow

@@ -51,6 +51,8 @@ def serve_by_workers(
     if not hasattr(socket, "SO_REUSEPORT"):
         raise CannotStart("on this system processes cannot share a port: start one")
     tls_of(settings)
+    # Which would share it with others' workers as well: no such server may be there.
+    bound(replace(settings, worker=None)).close()
     first = replace(settings, worker=0)
     with contextlib.closing(bound(first)) as keeping_the_port, _ended_by_signals():
         port = keeping_the_port.getsockname()[1]
