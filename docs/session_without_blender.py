@@ -25,7 +25,9 @@ def frames(path):
 def main(path):
     with np.load(path) as room:
         position_m = room["positions_m"][room["is_in_view"].sum(axis=0).argmax()]
-    session = xihenet.XiheController(xihenet.LocalBackend(xihenet.estimators.load("lattice")))
+    estimator = xihenet.estimators.load("lattice", target="hdr")
+    settings = xihenet.ControllerSettings(learns_out_of_view=True)
+    session = xihenet.XiheController(xihenet.LocalBackend(estimator), settings)
     session.add_position("vase", position_m)
     for number, frame in enumerate(frames(path)):
         report = session.step(frame).get("vase")

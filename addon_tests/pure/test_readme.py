@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from addon_tests.pure.recordings import SMALL, looking, seen
 from xihe_blender.cli.document import document
 from xihe_blender.cli.main import _parser
 from xihenet import __version__
@@ -25,6 +26,12 @@ def commands_of(page):
     blocks = re.findall(r"```sh\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
     return [command for line in lines if (command := line.split(" #")[0].strip())]
+
+
+def python_of(page):
+    """The blocks of a page that are marked as `python`, or the one script that it is."""
+    text = page.read_text(encoding="utf-8")
+    return [text] if page.suffix == ".py" else re.findall(r"```python\n(.*?)```", text, re.DOTALL)
 
 
 def words_of(*beginning):
@@ -54,6 +61,22 @@ def test_the_readme_has_two_pictures_and_one_table():
 def test_the_readme_leads_to_the_two_commands():
     typed = commands_of(ROOT / "README.md")
     assert [command.split()[:2] for command in typed if "previs" in command] == [["make", "previs"], ["xihe", "previs"]]
+
+
+SESSIONS = [ROOT / "docs" / name for name in ("python.md", "edge.md", "session_without_blender.py")]
+
+
+@pytest.mark.parametrize("page", SESSIONS, ids=lambda page: page.name)
+def test_sessions_of_the_docs_have_the_settings_of_the_commands(page):
+    """Those of `xihe replay`: all of the light, and what is learned while a position is out of view."""
+    sessions = [block for block in python_of(page) if "XiheController(" in block]
+    assert sessions and all('target="hdr"' in one and "learns_out_of_view=True" in one for one in sessions)
+
+
+def test_the_session_of_the_docs_runs():
+    known = {"frame": seen(SMALL, looking(1.57, 0.4, (0.0, 0.0, 0.1)))}
+    exec(next(block for block in python_of(ROOT / "docs" / "python.md") if "XiheController(" in block), known)
+    assert known["session"].backend.estimator.target == "hdr" and known["session"].settings.learns_out_of_view
 
 
 @pytest.mark.parametrize("words", words_of("make"), ids=shown)
