@@ -124,6 +124,12 @@ class RgbdFrame:
             _keep(self, np.float64, white_balance=(3,))
             if not (np.isfinite(self.white_balance).all() and (self.white_balance > 0).all()):
                 raise ValueError(f"RgbdFrame.white_balance: expected positive factors, got {self.white_balance}")
+        depth_type = np.asarray(self.plane_depth_m).dtype
+        if depth_type.kind != "f":
+            raise ValueError(
+                f"RgbdFrame.plane_depth_m: expected metres, as floats, got {depth_type}: multiply it by metres per "
+                "unit, 0.001 for millimetres"
+            )
         size = (self.intrinsics.height, self.intrinsics.width)
         if self.confidence is not None:
             _keep(self, np.uint8, confidence=size)

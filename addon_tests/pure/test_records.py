@@ -31,6 +31,8 @@ def test_arrays_become_read_only_views_and_the_callers_stay_writable():
         ({"srgb_u8": np.zeros((3, 4, 3))}, "expected uint8"),
         ({"srgb_u8": np.zeros((4, 3, 3), np.uint8)}, "srgb_u8"),
         ({"plane_depth_m": np.ones((4, 3))}, "plane_depth_m"),
+        ({"plane_depth_m": np.full((3, 4), 1500, np.uint16)}, "expected metres, as floats, got uint16: multiply"),
+        ({"plane_depth_m": np.full((3, 4), 1500)}, "expected metres"),
         ({"world_from_camera": np.eye(3)}, "world_from_camera"),
         ({"world_from_camera": np.full((4, 4), np.nan)}, "finite"),
         ({"exposure": 0.0}, "exposure"),
