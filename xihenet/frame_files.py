@@ -142,6 +142,17 @@ def frame_camera(
     return FrameCamera(intrinsics, pose, blender_from_file)
 
 
+def off_centre(intrinsics: Intrinsics) -> str | None:
+    """A clause where the principal point is not within the picture, as it is with a lens that is not shifted far."""
+    k = intrinsics
+    if 0 < k.cx < k.width and 0 < k.cy < k.height:
+        return None
+    return (
+        f"the principal point lies at the edge of the picture or outside of it, at {k.cx:g}, {k.cy:g} of "
+        f"{k.width}x{k.height} pixels: check cx and cy"
+    )
+
+
 def _check_keys(content: dict[str, Any], keys: Collection[str]) -> None:
     """ValueError for a key that nothing would read, which would be a misspelt one that counts for nothing."""
     for name in content.keys() - set(keys):

@@ -264,6 +264,11 @@ RECORD3D = {
     "colour is missing": (member("rgbd/1.jpg", None), NOTE + "1 frame without colour, depth or a pose"),
     "depth is missing": (member(DEPTH, None), NOTE + "1 frame without colour, depth or a pose"),
     "confidence is missing": (member(CONF, None), READ),
+    "K row by row": (
+        metadata(perFrameIntrinsicCoeffs=None, K=[160, 0, 128, 0, 160, 96, 0, 0, 1]),
+        NOTE + "In 3 frames the principal point lies at the edge of the picture or outside of it, at 0, 0 of 256x192 "
+        "pixels: check cx and cy, and that K is stored column by column.",
+    ),
     "times that go back": (metadata(frameTimestamps=[5.0, 4.0, 6.0]), NOTE + "Times go back once"),
     "times that are not known": (metadata(frameTimestamps=None), READ),
     "depth in millimetres": (
@@ -447,6 +452,9 @@ PLAIN = {
     "a width below 0": (plain(width=-64), "at least one pixel"),
     "a huge width": (plain(width=1e300), "a whole number of pixels"),
     "a focal length that is text": (plain(fx="40"), "fx: expected a number"),
+    "a principal point in the corner": (plain(cx=0, cy=0), NOTE + "at 0, 0 of 64x48 pixels: check cx and cy."),
+    "a principal point far away": (plain(cx=1e9), NOTE + "at 1e+09, 24 of 64x48 pixels: check cx and cy."),
+    "a principal point that is shifted": (plain(cx=1, cy=47), READ),
     "axes of no tool": (plain(convention="maya"), "convention: expected"),
     "an up that is none": (plain(up="w"), "up: expected"),
     "units of 0": (plain(metres_per_unit=0), "expected positive numbers"),

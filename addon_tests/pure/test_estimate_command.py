@@ -177,6 +177,15 @@ def test_a_position_behind_what_is_seen_there_is_estimated_with_a_warning(exr, a
     assert line.startswith("xihe: warning: 0,4,0 lies 1 m behind the surface seen there")
 
 
+def test_a_principal_point_outside_of_the_picture_is_estimated_with_a_warning(folder, tmp_path, answer):
+    camera = json.loads((folder / "camera.json").read_text())
+    (tmp_path / "camera.json").write_text(json.dumps({**camera, "cx": 0, "cy": 0}))
+    _, said = answer(folder / "frame.exr", "--camera", tmp_path / "camera.json", "--at", AT)
+    assert said.startswith(
+        "xihe: warning: the principal point lies at the edge of the picture or outside of it, at 0, 0"
+    )
+
+
 def test_a_position_in_front_of_a_hole_is_behind_nothing(folder, answer):
     holes = write_exr(folder / "holes.exr", RADIANCE, np.where(PLANE_DEPTH_M == 3, 0, PLANE_DEPTH_M))
     assert answer(holes, "--camera", folder / "camera.json", "--at", "0,4,0")[1] == ""

@@ -23,7 +23,7 @@ from xihenet import __version__, estimators
 from xihenet.backend import LocalBackend, estimate_light
 from xihenet.camera import in_view, invalid_pixels, project_points, unproject_frame
 from xihenet.estimators import EstimateContext, Estimator
-from xihenet.frame_files import FrameCamera, read_camera, read_frame
+from xihenet.frame_files import FrameCamera, off_centre, read_camera, read_frame
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
 from xihenet.light_picture import light_picture
 from xihenet.picture_size import MOST_PIXELS
@@ -234,9 +234,10 @@ def _position_table(one: PlacedEstimate) -> str:
     return "\n".join(rows)
 
 
-def warnings_about(placed: list[PlacedEstimate]) -> list[str]:
-    """A line for each position whose light is a guess."""
-    lines = []
+def warnings_about(frame: RgbdFrame, placed: list[PlacedEstimate]) -> list[str]:
+    """A line where the camera looks wrong, and one for each position whose light is a guess."""
+    doubt = off_centre(frame.intrinsics)
+    lines = [] if doubt is None else [doubt]
     for one in placed:
         where = _format_position(one.position_m)
         if not one.is_in_view:
@@ -276,7 +277,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     frame, facts, placed = estimate_from_files(options)
     content = as_json(options, frame.exposure, facts, placed)
     written = [] if options.out is None else write_estimates(options.out, content, placed)
-    for line in warnings_about(placed):
+    for line in warnings_about(frame, placed):
         print(f"xihe: warning: {line}", file=stderr)
     if options.json:
         print(json.dumps(content, indent=1, allow_nan=False), file=stdout)

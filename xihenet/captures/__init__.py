@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from xihenet.captures import nerfstudio, plain, polycam, record3d, seven_scenes, stray, tum, xihe_session
 from xihenet.captures.by_hand import set_by_hand
-from xihenet.captures.capture import Capture
+from xihenet.captures.capture import Capture, n_frames
+from xihenet.frame_files import off_centre
 
 READERS: dict[str, tuple[Callable[[Path], bool], Callable[[Path, str | None], Capture]]] = {
     "Xihe session": (xihe_session.is_in, xihe_session.read),
@@ -34,5 +36,14 @@ def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor
         raise ValueError(f"{path} is not there: give a folder or file with a recording of {', '.join(READERS)}")
     for is_in, read in READERS.values():
         if is_in(path):
-            return set_by_hand(read(path, up), scale=scale, floor_m=floor_m)
+            return set_by_hand(_with_doubts(read(path, up)), scale=scale, floor_m=floor_m)
     raise ValueError(f"{path} holds no recording that is known: expected one of {', '.join(READERS)}")
+
+
+def _with_doubts(capture: Capture) -> Capture:
+    """The recording with a note where the principal point of frames is not within their picture."""
+    doubts = [doubt for frame in capture.frames if (doubt := off_centre(frame.camera.intrinsics)) is not None]
+    if not doubts:
+        return capture
+    also = ", and that K is stored column by column" if capture.format_name == "Record3D" else ""
+    return replace(capture, notes=(*capture.notes, f"In {n_frames(len(doubts))} {doubts[0]}{also}."))
