@@ -113,7 +113,7 @@ def test_the_sentence_says_what_fits_and_how_well():
 
 
 @pytest.mark.parametrize(
-    ("factor", "name"), [(0.1, "0.1 x"), (1000, "1000 x"), (0.001, "0.001 x")]
+    ("factor", "name"), [(5, "5 x"), (0.2, "0.2 x"), (0.1, "0.1 x"), (1000, "1000 x"), (0.001, "0.001 x")]
 )  # fmt: skip
 def test_units_of_depth_are_told(factor, name):
     found = suspect([scaled(factor)(frame) for frame in right(2)])

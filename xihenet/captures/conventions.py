@@ -8,8 +8,8 @@ A convention is accused only if another one fits better by far, and if the walk 
 only pitches looks the same with either camera axes, and one that only turns in place fits every scale of depth. A scale
 must therefore explain parallax, which is to fit better than the same turns do without any steps. Chosen: depth alone.
 Rejected: colour as well, which drifts with the phone's exposure and agrees by chance on plain walls. Not here: which
-way is up, errors of intrinsics, a scale of the poses (it looks like one of depth), and a depth of another unit than a
-power of ten.
+way is up, errors of intrinsics, a scale of the poses (it looks like one of depth), and a depth that is off by another
+factor than 5 or a power of ten: one of 4 is taken for 5, and one of 12 for 10.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ SAID_OF_POSES = {
     "inverse, camera axes": ("The poses look like camera-from-world of cameras that look {axes}", "their inverse fits"),
 }
 SAID_OF_DEPTH = {
+    "5 x": ("The depth looks 5 times too large", "divided by 5 it fits"),
+    "0.2 x": ("The depth looks 5 times too small", "times 5 it fits"),
     "10 x": ("The depth looks 10 times too large", "divided by 10 it fits"),
     "0.1 x": ("The depth looks 10 times too small", "times 10 it fits"),
     "1000 x": ("The depth looks 1000 times too large", "divided by 1000 it fits"),
