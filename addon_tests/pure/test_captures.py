@@ -11,8 +11,10 @@ from addon_tests.pure.recordings import (
     LAYOUTS,
     LOSSY,
     SEVEN_SCENES,
+    SMALL,
     TUM,
     as_nerfstudio,
+    as_plain,
     as_seven_scenes,
     as_tum,
     doubted,
@@ -111,6 +113,22 @@ def test_a_frame_that_shows_nothing_is_read_as_one(tmp_path, name):
     nothing = [replace(frame, plane_depth_m=frame.plane_depth_m * 0) for frame in walk(intrinsics, 2)]
     path = write(tmp_path / "in", nothing)
     assert main(["replay", str(path), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 0
+
+
+@pytest.mark.parametrize(("is_doubted", "why"), [(False, "no distance was measured"), (True, "the sensor itself says")])
+def test_where_no_light_can_be_known_replay_says_why(tmp_path, capfd, is_doubted, why):
+    frames = walk(SMALL, 2)
+    if is_doubted:
+        dark = [replace(frame, confidence=np.zeros(frame.plane_depth_m.shape, np.uint8)) for frame in frames]
+    else:
+        dark = [replace(frame, plane_depth_m=frame.plane_depth_m * 0) for frame in frames]
+    path = as_plain(tmp_path / "in", dark)
+    assert (
+        main(["replay", str(path), "--at", "0,0,0", "--out", str(tmp_path / "out"), "--estimator", "projection"]) == 0
+    )
+    said = capfd.readouterr().out.splitlines()[-1]
+    assert said.startswith("0,0,0: no light could be known in 2 frames: no surface was seen from there; 6144 points")
+    assert why in said
 
 
 def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):

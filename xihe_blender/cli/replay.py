@@ -24,7 +24,7 @@ from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator
-from xihenet.invalid import added, n_left_out
+from xihenet.invalid import added, format_reason, left_out, n_left_out
 from xihenet.light import BetweenEstimates
 from xihenet.light.exports import NamedLight
 from xihenet.light.platforms import PLATFORMS
@@ -60,6 +60,7 @@ class Place:
     exported: list[NamedLight] = field(default_factory=list)
     coverage: float = 0.0
     invalid: Mapping[str, int] = field(default_factory=dict)
+    unknown: Mapping[str, int] = field(default_factory=dict)  # frames that could not tell the light, by reason
     cloud: UnitSphereCloud | None = None
 
 
@@ -219,6 +220,7 @@ def _note(place: Place, step: ReplayedStep) -> None:
     if report is None:  # Out of view
         return
     place.coverage, place.invalid = report.coverage, added([place.invalid, report.invalid])
+    place.unknown = added([place.unknown, {report.unknown_because: 1} if report.unknown_because else {}])
     estimate = report.estimate
     if estimate is None or not estimate.is_valid:
         return
@@ -319,8 +321,19 @@ def _shown_frames(capture: Capture, places: Sequence[Place]) -> list[tuple[int, 
 def _told(place: Place, n_frames: int) -> str:
     where = ",".join(f"{coordinate:g}" for coordinate in place.at)
     if not place.lights:
-        return f"{where}: no light could be known in {n_frames} frames"
+        return f"{where}: no light could be known in {n_frames} frames{_why_unknown(place)}"
     last = place.lights[-1]
     expected = "" if last["expected_error"] is None else f", expected error {last['expected_error']:.3f}"
     seen = f"{place.coverage:.0%} of the sphere seen"
     return f"{where}: {len(place.lights)} estimates in {n_frames} frames, {seen}{expected}"
+
+
+def _why_unknown(place: Place) -> str:
+    """The reason of most of its frames, and that of most of the points that were left out; empty for none."""
+    reasons, lost = [], left_out(place.invalid)
+    if place.unknown:
+        reasons.append(format_reason(max(place.unknown, key=place.unknown.__getitem__)))
+    if lost:
+        most = max(lost, key=lost.__getitem__)
+        reasons.append(f"{lost[most]} points left out ({format_reason(most)})")
+    return f": {'; '.join(reasons)}" if reasons else ""
