@@ -228,7 +228,11 @@ RECORD3D = {
     "a path of Windows": (member("C:\\elsewhere", b"x"), "lies outside"),
     "packed by LZMA": (packed_by_lzma, "no method but deflate"),
     "encrypted": (whole(marked_encrypted), "cannot be read"),
-    "a pose that is NaN": (in_metadata("poses", 1, [float("nan")] * 7), "poses, frame 1: expected finite"),
+    "a pose that is NaN": (
+        in_metadata("poses", 1, [float("nan")] * 7),
+        NOTE + "1 frame without colour, depth or a pose",
+    ),
+    "poses that are all NaN": (metadata(poses=[[float("nan")] * 7] * 3), "no frame has colour, depth and a pose"),
     "a pose that is text": (in_metadata("poses", 1, ["x"] * 7), "poses, frame 1: expected 7 numbers"),
     "a pose of six numbers": (in_metadata("poses", 1, [0.0] * 6), "poses, frame 1: expected 7 numbers"),
     "a pose that is none": (in_metadata("poses", 1, None), "poses, frame 1: expected 7 numbers"),
@@ -468,6 +472,15 @@ PLAIN = {
     "poses of nine numbers": (put(POSES, "1 2 3 4 5 6 7 8 9\n" * 3), "expected 16 numbers"),
     "poses that are text": (put(POSES, "a b c d e f g h\n" * 3), "expected 8 numbers"),
     "poses that are NaN": (put(POSES, "0 0 0 nan 0 0 0 1\n" * 3), "expected finite numbers"),
+    "a pose that is NaN": (
+        put(POSES, "0 0 0 0 0 0 0 1\n1 nan nan nan nan nan nan nan\n2 0 0 0 0 0 0 1\n"),
+        NOTE + "1 frame without depth or a pose left out",
+    ),
+    "a pose of minus infinity": (
+        put(POSES, f"{'-inf ' * 16}\n" + "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 2),
+        NOTE + "1 frame without depth or a pose left out",
+    ),
+    "a time that is NaN": (put(POSES, "nan 0 0 0 0 0 0 1\n" * 3), "expected finite numbers"),
     "a quaternion of zeros": (put(POSES, "0 0 0 0 0 0 0 0\n" * 3), "a quaternion of length 1"),
     "a huge place": (put(POSES, "0 1e300 0 0 0 0 0 1\n" * 3), "within 1e+06 m"),
     "a pose that mirrors": (put(POSES, "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), "it mirrors"),
@@ -495,6 +508,10 @@ TUM = {
     "a huge place": (put(TRUTH, "0 1e300 0 0 0 0 0 1\n"), "within 1e+06 m"),
     "a huge number": (put(TRUTH, f"0 {HUGE} 0 0 0 0 0 1\n"), "expected finite numbers"),
     "a quaternion of zeros": (put(TRUTH, "0 0 0 0 0 0 0 0\n"), "a quaternion of length 1"),
+    "a pose that is NaN": (
+        put(TRUTH, f"0 0 0 0 0 0 0 1\n0.0333 {'nan ' * 7}\n0.0667 0 0 0 0 0 0 1\n"),
+        NOTE + "1 frame without colour, depth or a pose left out",
+    ),
     "a list is a folder": (folder_in_place_of("rgb.txt"), "no recording that is known"),
 }
 POSE = "frame-000002.pose.txt"

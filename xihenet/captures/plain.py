@@ -7,6 +7,8 @@ depth/        grey images of 16 bits, 0 and 65535 where there is none; confidenc
 poses/        NAME.txt: camera to world, four rows of four; or, in place of the folder,
 poses.txt     a line for each picture of colour/: 16 numbers, row by row, or 8, which are time, place and
               quaternion: t x y z qx qy qz qw
+
+A pose with a number that is not finite is of a moment at which tracking was lost, and as good as none.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
 from xihenet.captures.phone_frame import phone_frame, read_measured
-from xihenet.captures.values import FARTHEST_M, number_in, numbers, pose_of, times_go_back
+from xihenet.captures.values import FARTHEST_M, number_in, numbers, pose_numbers, pose_of, times_go_back
 from xihenet.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, FrameCamera, camera_facts, frame_camera
 from xihenet.json_files import read_json
 from xihenet.records import ArrayF64, RgbdFrame
@@ -64,7 +66,7 @@ def read(folder: Path, up: str | None) -> Capture:
         load = partial(_load, colour, depths[colour.stem], metres_per_unit, confidence, camera)
         frames.append(CapturedFrame(i + 1, time_s, camera, load, colour))
     if not frames:
-        raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name")
+        raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name (expected finite numbers)")
     notes = times_go_back([frame.time_s for frame in frames])
     if times_s is None:
         notes += (f"Times are not known: {fps:g} frames a second are assumed.",)
@@ -80,7 +82,7 @@ def _images(folder: Path) -> list[Path]:
 
 
 def _poses(folder: Path, colours: Sequence[Path]) -> tuple[list[ArrayF64 | None], ArrayF64 | None]:
-    """(4, 4) for each picture, None where it has none; and times in seconds, if they are known."""
+    """(4, 4) for each picture, None where it has none or was lost; and times in seconds, if they are known."""
     if not (folder / LINES).is_file():
         if not (folder / "poses").is_dir():
             raise ValueError(f"{folder}: expected {LINES} or a folder poses/ beside {FILE}")
@@ -92,15 +94,19 @@ def _poses(folder: Path, colours: Sequence[Path]) -> tuple[list[ArrayF64 | None]
         raise ValueError(f"{path}: expected a line for each of {len(colours)} pictures, got {len(lines)}")
     if any(len(line) != 8 for line in lines):
         return [_matrix(line, path) for line in lines], None
-    rows = [numbers(line, 8, str(path)) for line in lines]
+    rows = [pose_numbers(line, 8, str(path)) for line in lines]
+    times_s = np.concatenate([numbers(line[:1], 1, str(path)) for line in lines])
     try:
-        return [pose_of(row[1:4], row[4:]) for row in rows], np.array([row[0] for row in rows])
+        return [None if row is None else pose_of(row[1:4], row[4:]) for row in rows], times_s
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _matrix(words: list[str], path: Path) -> ArrayF64:
-    pose = numbers(words, 16, str(path)).reshape(4, 4)
+def _matrix(words: list[str], path: Path) -> ArrayF64 | None:
+    values = pose_numbers(words, 16, str(path))
+    if values is None:
+        return None
+    pose = values.reshape(4, 4)
     if np.abs(pose).max() > FARTHEST_M:
         raise ValueError(f"{path}: expected a place within {FARTHEST_M:g} m of the origin")
     return pose

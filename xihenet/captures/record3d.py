@@ -4,7 +4,7 @@ Poses are camera to world as quaternion and place, the camera looks along -Z wit
 camera; `initPose` is where that one was in ARKit's world, which has +Y up. Without it up is not known: the floor is
 looked for. K, column by column, and the intrinsics of each frame are for the colour's size. Depth is float32 in metres
 and confidence 0, 1, 2, both packed by LZFSE, row by row; depth lies as the colour does, upright or not. Only captures
-with LiDAR have poses.
+with LiDAR have poses; one with a number that is not finite is of a moment at which tracking was lost, as good as none.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from xihenet.captures.capture import Capture, CapturedFrame, n_frames
 from xihenet.captures.floor import upright
 from xihenet.captures.lzfse_files import unpack_lzfse
 from xihenet.captures.phone_frame import confidence_levels, measured, phone_frame
-from xihenet.captures.values import intrinsics_of, number_in, numbers, pose_of, side_in, times_go_back
+from xihenet.captures.values import intrinsics_of, number_in, numbers, pose_numbers, pose_of, side_in, times_go_back
 from xihenet.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.json_files import parse_json
 from xihenet.picture_size import MOST_PIXELS, same_field
@@ -54,20 +54,23 @@ def read(path: Path, up: str | None) -> Capture:
             start = _pose(numbers(first, 7, "initPose"))
         assumed = up or "y"
         cameras = [
-            frame_camera(intrinsics_of(*size, one), (start @ _pose(pose)).tolist(), up=assumed)
+            None if pose is None else frame_camera(intrinsics_of(*size, one), (start @ pose).tolist(), up=assumed)
             for one, pose in zip(k, poses, strict=True)
         ]
     except ValueError as error:
         raise ValueError(f"{path}, {METADATA}: {error}") from error
     numbers_of = sorted(int(found[1]) for name in archive.members if (found := NAME.fullmatch(name)))
-    there = [n for n in numbers_of if n < len(cameras) and f"rgbd/{n}.jpg" in archive.members]
+    there = {
+        n: camera
+        for n in numbers_of
+        if n < len(cameras) and (camera := cameras[n]) is not None and f"rgbd/{n}.jpg" in archive.members
+    }
     if not there:
         raise ValueError(f"{path}: no frame has colour, depth and a pose: record with LiDAR")
+    begin_s = times_s[next(iter(there))]
     frames = [
-        CapturedFrame(
-            n, float(times_s[n] - times_s[there[0]]), cameras[n], partial(_load, archive, n, cameras[n], depth_size)
-        )
-        for n in there
+        CapturedFrame(n, float(times_s[n] - begin_s), camera, partial(_load, archive, n, camera, depth_size))
+        for n, camera in there.items()
     ]
     notes += times_go_back([frame.time_s for frame in frames])
     if n_missing := max(n_said, len(numbers_of)) - len(there):
@@ -101,13 +104,18 @@ def _sizes(content: dict[str, Any]) -> tuple[tuple[int, int], tuple[int, int] | 
     return size, depth, ()
 
 
-def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[int, ArrayF64, ArrayF64, ArrayF64]:
-    """How many frames are spoken of; poses (N, 7), fx, fy, cx, cy (N, 4) and times (N,), seconds, of those with all."""
-    poses = _table(content, "poses", 7)
-    if not len(poses):
+def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[int, list[ArrayF64 | None], ArrayF64, ArrayF64]:
+    """How many frames are spoken of; poses, fx, fy, cx, cy (N, 4) and times (N,), seconds, of those with all.
+
+    A pose is (4, 4), or None where tracking was lost.
+    """
+    rows = [pose_numbers(row, 7, f"poses, frame {i}") for i, row in enumerate(_rows(content, "poses"))]
+    poses = [None if row is None else _pose(row) for row in rows]
+    if not poses:
         raise ValueError("poses: there are none: record with LiDAR, the face sensor has no poses")
     if content.get("perFrameIntrinsicCoeffs"):
-        k = _table(content, "perFrameIntrinsicCoeffs", 4)
+        name = "perFrameIntrinsicCoeffs"
+        k = np.array([numbers(row, 4, f"{name}, frame {i}") for i, row in enumerate(_rows(content, name))])
     else:
         matrix = numbers(content.get("K"), 9, "K")
         k = np.broadcast_to(matrix[[0, 4, 6, 7]], (len(poses), 4))
@@ -124,11 +132,11 @@ def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[int, Arra
     return max(lengths), poses[:n], k[:n], times_s[:n]
 
 
-def _table(content: dict[str, Any], name: str, n: int) -> ArrayF64:
+def _rows(content: dict[str, Any], name: str) -> list[Any]:
     rows = content.get(name)
     if not isinstance(rows, list):
         raise ValueError(f"{name}: expected a list, got {rows!r:.80}")
-    return np.array([numbers(row, n, f"{name}, frame {i}") for i, row in enumerate(rows)]).reshape(-1, n)
+    return rows
 
 
 def _pose(row: ArrayF64) -> ArrayF64:

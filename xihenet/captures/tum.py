@@ -1,7 +1,8 @@
 """Recordings of the TUM RGB-D benchmark: rgb.txt, depth.txt and groundtruth.txt beside pictures.
 
 Colour, depth and poses have times of their own. A colour picture goes with the depth next to it in time, and with the
-pose between those around it; more than AT_MOST_S away there is none. Poses are camera to world, the camera looks along
+pose between those around it; more than AT_MOST_S away there is none. A pose with a number that is not finite, of a
+moment at which tracking was lost, counts for none. Poses are camera to world, the camera looks along
 +Z with +Y down, the world has +Z up. Depth is 16-bit, 5,000 to a metre. Intrinsics are not among the
 benchmark's files: they are those that its own tools take for all of its cameras, unless a camera.json (`width`,
 `height`, `fx`, `fy`, `cx`, `cy`) lies beside them, as we write one for another camera.
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
-from xihenet.captures.values import pose_of
+from xihenet.captures.values import numbers, pose_numbers, pose_of
 from xihenet.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
 from xihenet.json_files import read_json
 from xihenet.records import ArrayF64, Intrinsics
@@ -36,8 +37,11 @@ def read(folder: Path, up: str | None) -> Capture:
     up = up or "z"
     colours, depths, poses = (_lines(folder / name, n) for name, n in zip(FILES, (1, 1, 7), strict=True))
     depth_s = np.array([time_s for time_s, _ in depths])
-    pose_s = np.array([time_s for time_s, _ in poses])
-    values = np.array([_numbers(folder / FILES[2], row) for _, row in poses])
+    tracked = [(time_s, pose_numbers(row, 7, str(folder / FILES[2]))) for time_s, row in poses]
+    pose_s = np.array([time_s for time_s, row in tracked if row is not None])
+    values = np.array([row for _, row in tracked if row is not None])
+    if not len(pose_s):
+        raise ValueError(f"{folder / FILES[2]}: expected finite numbers, and tracking was lost in all lines")
     intrinsics, note = _intrinsics(folder / CAMERA)
     frames, n_without = [], 0
     for number, (time_s, (name,)) in enumerate(colours, start=1):
@@ -80,18 +84,8 @@ def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:
     rows = [row for row in rows if row and not row[0].startswith("#")]
     if not rows or any(len(row) != 1 + n_values for row in rows):
         raise ValueError(f"{path}: expected lines of a time and {n_values} more, and at least one of them")
-    times = [_numbers(path, row[:1])[0] for row in rows]
+    times = [float(numbers(row[:1], 1, str(path))[0]) for row in rows]
     return sorted(((time_s, row[1:]) for time_s, row in zip(times, rows, strict=True)), key=lambda one: one[0])
-
-
-def _numbers(path: Path, row: list[str]) -> list[float]:
-    try:
-        values = [float(text) for text in row]
-    except ValueError:
-        values = [float("nan")]
-    if not np.isfinite(values).all():
-        raise ValueError(f"{path}: expected finite numbers, got {' '.join(row)[:80]!r}")
-    return values
 
 
 def _pose_at(time_s: float, pose_s: ArrayF64, values: ArrayF64) -> ArrayF64 | None:

@@ -35,15 +35,21 @@ def side_in(values: Mapping[str, Any], name: str) -> int:
 
 def numbers(values: Any, n: int, name: str) -> ArrayF64:
     """(n,) finite numbers of a list or of texts. ValueError else."""
+    array = pose_numbers(values, n, name)
+    if array is None:
+        raise ValueError(f"{name}: expected finite numbers, got {values!r:.80}")
+    return array
+
+
+def pose_numbers(values: Any, n: int, name: str) -> ArrayF64 | None:
+    """As `numbers`, but None where one is not finite, as trackers write a pose while they are lost."""
     try:
         if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != n:
             raise TypeError
         array = np.array([float(value) for value in values])
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name}: expected {n} numbers, got {values!r:.80}") from None
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got {values!r:.80}")
-    return array
+    return array if np.isfinite(array).all() else None
 
 
 def intrinsics_of(width: int, height: int, k: ArrayF64) -> Intrinsics:
