@@ -111,7 +111,7 @@ def test_reflections_are_written_turned_as_the_engine_reads_them(run):
     ("arguments", "words"),
     [
         (("--to", "threejs"), "invalid choice"),
-        (("--to", "three", "--frame", "9"), "has no frame 9: give one from 1 to 4"),
+        (("--to", "three", "--frame", "9"), "has no frame 9: give one from 1 to 4 of its path, of which 4 is nearest"),
         (("--to", "three", "--objects", "Vase"), "has no virtual object 'Vase'; it has Ball, My Vase"),
         (("--to", "three", "--frame", "1"), "'My Vase' has no estimate yet at frame 1"),
         (("--to", "three", "--reading", "x"), "three has no reading 'x'"),

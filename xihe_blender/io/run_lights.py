@@ -90,7 +90,11 @@ def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[
     """Those lights of the run in `folder`; UserError, naming the fix, where there are none."""
     frames = {frame.frame: frame.time_s for frame in results.frames}
     if asked.frame is not None and asked.frame not in frames:
-        raise UserError(f"the run has no frame {asked.frame}: give one from {min(frames)} to {max(frames)} of its path")
+        nearest = min((abs(frame - asked.frame), frame) for frame in frames)[1]
+        raise UserError(
+            f"the run has no frame {asked.frame}: give one from {min(frames)} to {max(frames)} of its path, of which "
+            f"{nearest} is nearest"
+        )
     made = results.settings.light
     parts = asked.parts or made
     if get_args(LightParts).index(parts) > get_args(LightParts).index(made):
