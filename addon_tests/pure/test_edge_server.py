@@ -257,6 +257,7 @@ def test_a_wrong_published_request_is_told_what_is_wrong(server, headers, body, 
         (b'{"n_anchors": 3}', "choose one of 512"),
         (b'{"n_anchors": [512]}', "number of anchors"),
         (b'{"target": "x"}', "ldr or hdr"),
+        (b'{"traget": "hdr"}', "'traget': there is no such field; there are n_anchors, target, joinable"),
         (b'{"joinable": 1}', "true or false"),
     ],
 )
@@ -267,7 +268,8 @@ def test_a_wrong_session_is_told_what_is_wrong(server, wanted, said):
 
 def test_other_wrong_requests(server):
     session, token = server.opened(n_anchors=N)
-    assert server.ask("POST", "/api/v2/session/")[0] == 400
+    status, answer, _ = server.ask("POST", "/api/v2/session/")
+    assert status == 400 and answer["error"].startswith("Anchor-Size: expected the number of anchors, one of 512")
     status, _, said = server.ask("GET", "/api/v2/session/")
     assert status == 405 and said["Allow"] == "POST, OPTIONS"
     assert server.ask("GET", "/nowhere")[0] == 404

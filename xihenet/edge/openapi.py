@@ -98,6 +98,7 @@ def _open(sizes: tuple[int, ...]) -> dict[str, Any]:
             "target": {"enum": ["ldr", "hdr"]},
             "joinable": {"type": "boolean"},
         },
+        "additionalProperties": False,
     }
     own = _header(
         protocol.TOKEN_HEADER, {"type": "string", "minLength": 16, "maxLength": 128}, "A token to own it by, or none."

@@ -33,6 +33,7 @@ from xihenet.records import ArrayF64, UnitSphereCloud
 PORT = 8550
 PUBLISHED_SESSION, PUBLISHED_ESTIMATION = "/api/v2/session/", "/api/v2/lighting-estimation/"
 SESSIONS = "/api/v3/sessions"
+SESSION_FIELDS = ("n_anchors", "target", "joinable")
 
 CLOUD_TYPE = "application/vnd.xihe.cloud"
 DEFAULT_METHOD: EncodingMethod = "uint16_float16_facing_stripped"
@@ -153,11 +154,13 @@ def _numbers(headers: Mapping[str, str], name: str, n: int) -> tuple[float, ...]
     return numbers
 
 
-def anchors_wanted(text: str | None, sizes: tuple[int, ...]) -> int:
-    """The number of anchors of a header or field; ValueError, naming the sizes served, for another."""
+def anchors_wanted(text: str | None, sizes: tuple[int, ...], name: str = "Anchor-Size") -> int:
+    """The number of anchors of a header or field `name`; ValueError, with it and the sizes served, for another."""
     choices = ", ".join(map(str, sizes))
-    if text is None or not text.strip().isascii() or not text.strip().isdigit() or len(text.strip()) > 6:
-        raise ValueError(f"expected the number of anchors, one of {choices}, got {str(text)[:80]!r}")
+    if text is None:
+        raise ValueError(f"{name}: expected the number of anchors, one of {choices}, got no such header")
+    if not text.strip().isascii() or not text.strip().isdigit() or len(text.strip()) > 6:
+        raise ValueError(f"{name}: expected the number of anchors, one of {choices}, got {text[:80]!r}")
     if int(text) not in sizes:
         raise ValueError(f"{int(text)} anchors are not served here: choose one of {choices}")
     return int(text)

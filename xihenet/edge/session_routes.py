@@ -77,7 +77,7 @@ class SessionsRoute(Handler):
 
     def _wanted_session(self) -> tuple[Session, str]:
         wanted, settings = self._wanted(), self.service.settings
-        n_anchors = protocol.anchors_wanted(str(wanted.get("n_anchors", 1280)), settings.sizes)
+        n_anchors = protocol.anchors_wanted(str(wanted.get("n_anchors", 1280)), settings.sizes, "n_anchors")
         target, joinable = wanted.get("target", settings.target), wanted.get("joinable", True)
         if target not in ("ldr", "hdr"):
             raise ValueError(f"target: expected ldr or hdr, got {str(target)[:80]!r}")
@@ -97,6 +97,8 @@ class SessionsRoute(Handler):
             raise ValueError(f"expected a JSON object as body ({type(error).__name__})") from None
         if not isinstance(wanted, dict):
             raise ValueError("expected a JSON object as body")
+        for name in wanted.keys() - set(protocol.SESSION_FIELDS):
+            raise ValueError(f"{name[:80]!r}: there is no such field; there are {', '.join(protocol.SESSION_FIELDS)}")
         return wanted
 
     def get(self) -> None:
