@@ -364,6 +364,7 @@ STRAY = {
     "half a frame": (odometry(f"0, 0.5, {POSED}"), "a number of a frame"),
     "a frame that comes twice": (odometry(f"0, 0, {POSED}", f"1, 0, {POSED}"), "some come twice"),
     "frames that are not there": (odometry(f"0, 70, {POSED}"), "no line of odometry.csv has depth"),
+    "fewer lines than frames": (odometry(f"0, 1, {POSED}"), NOTE + "2 frames of the video without a line of odometry"),
     "more lines than frames": (odometry(f"0, 0, {POSED}", f"1, 9, {POSED}"), NOTE + "after 3 frames of 10"),
     "times that go back": (odometry(f"5, 0, {POSED}", f"4, 1, {POSED}"), NOTE + "Times go back once"),
     "intrinsics of two lines": (put(MATRIX, "1, 0, 1\n0, 1, 1\n"), "expected three lines"),
@@ -499,6 +500,9 @@ NERFSTUDIO = {
     "deep": (put(TRANSFORMS, DEEP), "expected JSON"),
     "a list": (put(TRANSFORMS, "[]"), "expected frames"),
     "a huge size": (said(TRANSFORMS, w=1e300), "w: expected a whole number"),
+    "a fish-eye": (said(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
+    "a panorama": (said(TRANSFORMS, camera_model="EQUIRECTANGULAR"), "undistort the pictures"),
+    "a camera of OpenCV": (said(TRANSFORMS, camera_model="OPENCV"), NOTE + "Times are not known"),
     "a focal length that is NaN": (said(TRANSFORMS, fl_x=float("nan")), "fl_x: expected a number"),
 }
 TUM = {

@@ -17,6 +17,9 @@ from xihenet.records import Intrinsics
 
 FILE = "transforms.json"
 FPS = 30.0
+MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL")
+"""Of cameras that see straight lines as such, but for a distortion that is small; not a fish-eye's, nor a panorama."""
+
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
@@ -65,7 +68,10 @@ def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
 
 
 def _intrinsics(values: dict[str, Any]) -> Intrinsics:
-    """Of a frame: its own come before those of all."""
+    """Of a frame: its own come before those of all. ValueError for a camera that is no pinhole."""
+    model = values.get("camera_model", MODELS[0])
+    if str(model).upper() not in MODELS:
+        raise ValueError(f"camera_model: {model!r:.80} is no pinhole camera: undistort the pictures first")
     fx = number_in(values, "fl_x")
     fy, cx, cy = number_in(values, "fl_y", fx), number_in(values, "cx"), number_in(values, "cy")
     return Intrinsics(side_in(values, "w"), side_in(values, "h"), fx, fy, cx, cy)

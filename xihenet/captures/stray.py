@@ -58,6 +58,8 @@ def read(folder: Path, up: str | None) -> Capture:
     last = int(rows[-1][1])
     if video.n_frames <= last:
         notes += (f"The video ends early, after {n_frames(video.n_frames)} of {last + 1}.",)
+    if n_unspoken := video.n_frames - sum(row[1] < video.n_frames for row in rows):
+        notes += (f"{n_frames(n_unspoken)} of the video without a line of {ODOMETRY} left out.",)
     if n_missing := len(rows) - len(frames):
         notes += (f"{n_frames(n_missing)} without colour or depth left out.",)
     return Capture("Stray Scanner", frames, BLENDER_FROM_UP[up], notes, is_opencv=True)
