@@ -26,7 +26,7 @@ fails if they differ. `python -m xihe_blender` is the same command; inside Blend
 | 0 | the job is done |
 | 1 | a part of the job could not be done; every such part is named |
 | 2 | a mistake that you can fix; one line on stderr says how |
-| 130 | stopped by Ctrl-C; run the same command again to resume |
+| 130 | stopped by Ctrl-C; run the same command again to resume. `serve`, which ends so, exits with 0 |
 
 Progress is shown on stderr. With `XIHE_VERBOSE=1`, so is what Blender itself prints.
 """

@@ -2,7 +2,7 @@
 
 Each sub-command is a file of this folder, found by its name and imported when it is typed: `add_arguments` says what it
 takes, `run` does it. Exit codes: 0 the job was done; 1 a part of it could not be, and each is named; 2 the user can
-mend it, and one line says how; 130 after Ctrl-C, and the same command resumes.
+mend it, and one line says how; 130 after Ctrl-C, and the same command resumes, but for `serve`: 0.
 """
 
 from __future__ import annotations
