@@ -1,13 +1,14 @@
 """A run from the panel: the numbers of the command line, its results in the open file, and gone again."""
 
 import contextlib
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
-from addon_runs import enable_preferences, registered_addon, small_panel_runs, walk_for_the_panel
+from addon_runs import enable_preferences, poll_message, registered_addon, small_panel_runs, walk_for_the_panel
 from previs_runs import SMALL, handler_in, look_away, run
 from renders import pixels, pixels_of_file, rendered
 from results_schema import read_strictly, without_times
@@ -15,7 +16,9 @@ from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed
 from tiny_scenes import empty_scene, node_of, phone, set_world
 
+from xihe_blender.addon.background_run import saved_for_run
 from xihe_blender.addon.comparison_view import follow_playhead
+from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.results_in_blender import (
     COVERAGE_CURVE,
     ERROR_CURVE,
@@ -29,10 +32,13 @@ from xihe_blender.addon.results_in_blender import (
     show_lit,
 )
 from xihe_blender.addon.run_settings import run_and_show
+from xihe_blender.addon.runs_folder import found_folder, last_run, shown_runs
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.compare.side_by_side import middle_of_change, wiped
 from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import as_json
+from xihe_blender.io.outputs import write_json
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
@@ -53,7 +59,9 @@ def done(tmp_path_factory):
     scene = walk_for_the_panel(folder / "runs")
     bpy.context.view_layer.update()
     before = snapshot()
+    bpy.context.window_manager.xihe.newest_run = str(folder / "earlier")
     assert bpy.ops.xihe.run() == {"FINISHED"}
+    assert bpy.context.window_manager.xihe.unshown_run == "", "the run of this process is newer"
     after = snapshot()
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shown.blend"))
     return folder, Path(scene.xihe.run_folder), before, after
@@ -119,6 +127,73 @@ def test_an_object_that_is_deleted_meanwhile_ends_the_run_with_one_line(tmp_path
         bpy.ops.xihe.run()
     assert [scene.name for scene in bpy.data.scenes] == ["Scene"] and list(tmp_path.iterdir()) == []
     assert not bpy.context.window_manager.xihe.is_running
+
+
+# ------------------------------------------------------------------------------------------- lost, and found again
+
+
+LATER = "room_20260102-120000"
+
+
+@pytest.fixture
+def project(done, tmp_path):
+    """A folder with a file and two runs of it in the background, which have ended; no scene shows either yet."""
+    scene, folder = walk_for_the_panel(""), tmp_path / "project"
+    folder.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "room.blend"))
+    for name, started in (("room_20260101-120000", 1.0), (LATER, 2.0)):
+        shutil.copytree(done[1], folder / "xihe_runs" / name)
+        run = saved_for_run(scene, folder / "xihe_runs" / name, {})
+        # As earlier versions said of a run that the file had shown once.
+        write_json(run.outputs.request, as_json(replace(run.request, started=started)) | {"is_shown": True})
+    return folder
+
+
+def opened_project(folder):
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "room.blend"), load_ui=False)
+    return bpy.context.window_manager.xihe
+
+
+def test_a_run_that_was_lost_with_the_open_file_is_offered_until_a_scene_shows_it(project):
+    job, later = opened_project(project), project / "xihe_runs" / LATER
+    assert job.unshown_run == str(later) and poll_message(bpy.ops.xihe.resume_run) == ""
+    bpy.ops.ed.undo_push(message="Start")
+    assert bpy.ops.xihe.resume_run("EXEC_DEFAULT", True) == {"FINISHED"}
+    assert bpy.context.scene.xihe.run_folder == str(later) and job.unshown_run == ""
+    bpy.ops.ed.undo()
+    assert bpy.context.scene.xihe.run_folder == "" and job.unshown_run == str(later)
+    bpy.ops.ed.redo()
+    assert bpy.context.scene.xihe.run_folder == str(later) and job.unshown_run == ""
+    bpy.ops.xihe.remove_light()
+    bpy.data.scenes.new("Other")
+    bpy.ops.wm.save_mainfile()
+    assert opened_project(project).unshown_run == ""
+    bpy.context.scene.xihe.run_folder = str(later.with_name("room_20260101-120000"))
+    assert bpy.context.window_manager.xihe.unshown_run == str(later)
+
+
+def test_a_lost_run_can_be_discarded(project):
+    job = opened_project(project)
+    assert bpy.ops.xihe.discard_run() == {"FINISHED"}
+    assert job.unshown_run == "" and not (project / "xihe_runs" / LATER).exists()
+
+
+def test_a_run_is_found_where_its_file_was_moved_together_with_it(project, tmp_path):
+    later = project / "xihe_runs" / LATER
+    opened_project(project)
+    bpy.ops.xihe.resume_run()
+    bpy.context.scene.xihe.budget_folder = str(later)
+    bpy.ops.wm.save_mainfile()
+    moved = project.rename(tmp_path / "moved")
+    job, found = opened_project(moved), moved / "xihe_runs" / LATER
+    scene = bpy.context.scene
+    assert scene.xihe.run_folder == str(later), "the file has not been changed by being opened"
+    assert last_run_folder(scene) == found_folder(str(later)) == found and shown_runs() == {found}
+    assert last_run(scene.xihe.run_folder) is not None and job.unshown_run == ""
+    assert bpy.ops.xihe.apply_light() == {"FINISHED"}
+    assert found_folder(rf"C:\films\xihe_runs\{LATER}") == found
+    gone = tmp_path / "gone" / "room_20250101-120000"
+    assert found_folder(str(gone)) == gone and last_run("") is None
 
 
 # -------------------------------------------------------------------------------------------------------------- light

@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import bpy
@@ -134,6 +136,11 @@ def test_progress_tells_the_time_left_and_sentences_are_wrapped_and_lose_no_word
     assert " ".join(lines) == text
     assert max(map(len, lines)) <= 30
     assert panels.wrapped("", 30) == []
+
+
+def test_a_run_of_another_day_is_told_with_its_date():
+    assert re.fullmatch(r"at \d\d:\d\d", panels.format_begun(time.time()))
+    assert re.fullmatch(r"on 2001-09-\d\d at \d\d:\d\d", panels.format_begun(1e9))
 
 
 def test_coverage_goes_from_one_colour_to_the_other_and_unknown_has_its_own():

@@ -19,7 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,7 +27,7 @@ import bpy
 
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import ABSENT, Parameters, as_json, from_json
+from xihe_blender.io.json_records import Parameters, as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json, written_whole
 from xihe_blender.jobs import Job, Progress
 from xihenet.json_files import read_json
@@ -50,7 +50,6 @@ class RunRequest:
     blend, copy : the open file, and its copy in the run's folder
     started : when the scene looked as the run knows it
     choices : parameters of PrevisSettings
-    is_shown : once the open file has shown its results
     """
 
     blend: str
@@ -59,7 +58,6 @@ class RunRequest:
     started: float
     command: str
     choices: Parameters
-    is_shown: bool | None = field(default=None, metadata=ABSENT)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +104,7 @@ class BackgroundRun:
 
     @property
     def begun(self) -> float | None:
-        """When it was begun, or its results were shown; None if it is gone. Looks at no more than the file's date."""
+        """When it was begun; None if it is gone. Looks at no more than the file's date."""
         try:
             return self.outputs.request.stat().st_mtime
         except OSError:
@@ -186,7 +184,6 @@ class BackgroundRun:
         if scene is None:
             raise UserError(f"the scene {name!r} is not in this file any more; its run is in {self.folder}")
         apply_results(scene, self.folder)
-        write_json(self.outputs.request, as_json(replace(self.request, is_shown=True)))
 
 
 def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> BackgroundRun:
@@ -199,16 +196,15 @@ def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> 
     return BackgroundRun(folder)
 
 
-def newest_unshown_run(blend: str) -> Path | None:
-    """Folder of the newest run of the file `blend` whose results it has not shown yet; None without one."""
+def newest_run(blend: str) -> Path | None:
+    """Folder of the newest run of the file `blend`, whatever became of it; None without one."""
     runs = [BackgroundRun(path.parents[1]) for path in runs_folder().glob("*/work/request.json")] if blend else []
     found = []
     for run in runs:
         with contextlib.suppress(UserError):
             if run.request.blend == blend:
-                found.append((run.request.started, bool(run.request.is_shown), run.folder))
-    _, is_shown, folder = max(found, default=(0.0, True, None))
-    return None if is_shown else folder
+                found.append((run.request.started, run.folder))
+    return max(found, default=(0.0, None))[1]
 
 
 def is_locked(path: Path) -> bool:

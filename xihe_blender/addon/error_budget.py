@@ -11,7 +11,7 @@ import bpy
 from xihe_blender.addon.background_run import COMMAND
 from xihe_blender.addon.panels import StagePanel, sentence
 from xihe_blender.addon.planning_operators import Measuring
-from xihe_blender.addon.runs_folder import last_budget, new_run_folder
+from xihe_blender.addon.runs_folder import found_folder, last_budget, new_run_folder
 from xihe_blender.jobs import Job
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class XIHE_PT_error_budget(StagePanel, bpy.types.Panel):
             split.progress(factor=share, type="BAR", text=said)
         row = layout.row(align=True)
         row.operator("xihe.measure_budget", text="Measure Again", icon="FILE_REFRESH")
-        row.operator("wm.path_open", text="", icon="FILE_TEXT").filepath = str(Path(folder) / "report.html")
+        row.operator("wm.path_open", text="", icon="FILE_TEXT").filepath = str(found_folder(folder) / "report.html")
 
 
 def shown_object(budget: BudgetResults, active: str) -> ObjectBudget:

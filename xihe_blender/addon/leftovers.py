@@ -10,7 +10,7 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.addon.background_run import newest_unshown_run
+from xihe_blender.addon.background_run import newest_run
 from xihe_blender.apply.lit_scene import remove_lit_collections
 from xihe_blender.scene.state import WORKING
 
@@ -43,8 +43,11 @@ def _after_load(*_: Any) -> None:
 
 
 def _look_for_run() -> None:
-    """Have the panel offer the run that was left when the file was closed, or the add-on switched off."""
-    bpy.context.window_manager.xihe.unshown_run = str(newest_unshown_run(bpy.data.filepath) or "")
+    """Have the panel offer the run that was left when the file was closed, or the add-on switched off.
+
+    And one that has ended, if the file was closed without saving: see `properties._unshown_run`.
+    """
+    bpy.context.window_manager.xihe.newest_run = str(newest_run(bpy.data.filepath) or "")
 
 
 def register() -> None:

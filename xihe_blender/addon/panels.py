@@ -23,7 +23,7 @@ from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
-from xihe_blender.addon.runs_folder import last_run
+from xihe_blender.addon.runs_folder import found_folder, last_run
 from xihe_blender.apply.datablocks import live_positions
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -270,14 +270,13 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
                 sentence(context, layout, doubt, icon="QUESTION")
 
     def _draw_unshown(self, context: bpy.types.Context, run: BackgroundRun) -> None:
-        """A run that this window does not follow: begun before the file was closed, or stopped."""
+        """A run that this window does not follow: begun before the file was closed, stopped, or shown no more."""
         if run.begun is None:
             return
         state, does = ("has ended", "Show Results") if run.has_ended else ("was stopped", "Resume")
         if run.is_under_way:
             state, does = "is under way", "Follow"
-        begun = time.strftime("%H:%M", time.localtime(run.begun))
-        sentence(context, self.layout, f"The run that was begun at {begun} {state}", icon="INFO")
+        sentence(context, self.layout, f"The run that was begun {format_begun(run.begun)} {state}", icon="INFO")
         row = self.layout.row(align=True)
         row.operator("xihe.resume_run", text=does, icon="FORWARD")
         row.operator("xihe.discard_run", text="", icon="TRASH")
@@ -356,7 +355,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator_menu_enum("xihe.export_light", "target", text="Export Light")
         row.operator("xihe.open_report", text="Open Report")
-        row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = settings.run_folder
+        row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = str(found_folder(settings.run_folder))
 
 
 def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
@@ -444,6 +443,12 @@ def _expected(error: float | None) -> list[tuple[str, str, str]]:
 
 def _number(value: float | None, form: str, unit: str = "") -> str:
     return "none" if value is None else f"{value:{form}}{unit}"
+
+
+def format_begun(begun: float) -> str:
+    """Such as "at 14:03"; with the date of another day than today's."""
+    is_today = time.localtime(begun)[:3] == time.localtime()[:3]
+    return time.strftime("at %H:%M" if is_today else "on %Y-%m-%d at %H:%M", time.localtime(begun))
 
 
 def format_progress(progress: float, seconds_left: float) -> str:

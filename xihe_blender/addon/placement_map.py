@@ -8,7 +8,6 @@ watches the mouse, which keeps Blender from saving its own backups for as long a
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -19,6 +18,7 @@ from xihe_blender.addon.modal_job import ModalJob
 from xihe_blender.addon.overlay import Box, below_others, box_of, draw_text, labels_in, text_width
 from xihe_blender.addon.panels import StagePanel, sentence
 from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.addon.runs_folder import found_folder
 from xihe_blender.apply.placement_map import (
     COLOURS,
     MapOf,
@@ -147,7 +147,7 @@ class XIHE_PT_placement(StagePanel, bpy.types.Panel):
         row.prop(settings, "show_map", text="", icon="HIDE_OFF")
         row.operator("xihe.remove_map", text="", icon="TRASH")
         shown = MapOf.read(item.data)
-        if Path(shown.folder) != last_run_folder(context.scene):
+        if found_folder(shown.folder) != last_run_folder(context.scene):
             sentence(context, layout, "The map is of an earlier run: map the room again", icon="INFO")
         row = layout.row()
         for heading, indices in (("Best", shown.best), ("Worst", shown.worst)):

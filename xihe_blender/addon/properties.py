@@ -8,6 +8,7 @@ import bpy
 
 from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import preferences
+from xihe_blender.addon.runs_folder import folder_name, found_folder
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.errors import UserError
 
@@ -40,7 +41,16 @@ def _wipe_changed(settings: XiheSceneSettings, context: bpy.types.Context) -> No
 
 def last_run_folder(scene: bpy.types.Scene) -> Path:
     """Folder of the run whose results are shown, as an absolute path."""
-    return Path(bpy.path.abspath(scene.xihe.run_folder))
+    return found_folder(scene.xihe.run_folder)
+
+
+def _unshown_run(state: XiheJobState) -> str:
+    """The newest run, unless a scene shows it. Asked anew each time, since Undo and Redo change what scenes show.
+
+    By the name of its folder: a file and its runs may have been moved together.
+    """
+    shown = {folder_name(scene.xihe.run_folder) for scene in bpy.data.scenes}
+    return "" if folder_name(state.newest_run) in shown else str(state.newest_run)
 
 
 def _own_frames_wanted(settings: XiheSceneSettings, _context: bpy.types.Context) -> None:
@@ -271,8 +281,13 @@ class XiheJobState(bpy.types.PropertyGroup):
     works_here: bpy.props.BoolProperty(
         name="In This File", description="Whether the job works in the open file, and not in a copy of it", default=True
     )
+    newest_run: bpy.props.StringProperty(
+        name="Newest Run", description="Folder of the newest run of the open file, whether or not it is shown"
+    )
     unshown_run: bpy.props.StringProperty(
-        name="Unshown Run", description="Folder of a run of the open file that is under way, or was stopped"
+        name="Unshown Run",
+        description="The same if no scene of the file shows it: it is under way, was stopped, or got lost",
+        get=_unshown_run,
     )
     progress: bpy.props.FloatProperty(
         name="Progress", description="Share of the run that is done", subtype="FACTOR", min=0.0, max=1.0

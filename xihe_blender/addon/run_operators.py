@@ -32,12 +32,12 @@ class Following(ModalJob):
     """None for a run in this process."""
 
     def follow(self, run: BackgroundRun) -> Job[None]:
-        """The job of `run`, which is remembered until its results are shown."""
+        """The job of `run`, which is remembered: it is offered whenever the file does not show it."""
         self.background, self.folder = run, run.folder
         state = bpy.context.window_manager.xihe
         # Until now it has worked in the open file, if only to look at the camera path.
         self.works_here = state.works_here = False
-        state.unshown_run = str(run.folder)
+        state.newest_run = str(run.folder)
         return run.follow()
 
     def stop(self) -> None:
@@ -50,7 +50,9 @@ class Following(ModalJob):
         chosen.run_folder, chosen.run_made_of = str(self.folder), ""
         if run is not None and run.is_edited:
             chosen.run_made_of = time.strftime("%H:%M", time.localtime(run.request.started))
-        context.window_manager.xihe.unshown_run = ""
+        if run is None:
+            # A run in this process cannot be taken up, and an earlier one is the newest no more.
+            context.window_manager.xihe.newest_run = ""
         self.report({"INFO"}, f"The run is finished: {self.folder}")
         return {"FINISHED"}
 
@@ -107,7 +109,7 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
 class XIHE_OT_resume_run(polls.Conditional, Following, bpy.types.Operator):
     bl_idname = "xihe.resume_run"
     bl_label = "Resume"
-    bl_description = "Go on with the last run of this file, which was left or stopped, and show its results"
+    bl_description = "Go on with the last run of this file, which it does not show, and show its results"
     conditions = (polls.is_idle, polls.is_room, polls.has_unshown_run)
 
     def start_job(self, context: bpy.types.Context) -> Job[None]:
@@ -124,12 +126,13 @@ class XIHE_OT_resume_run(polls.Conditional, Following, bpy.types.Operator):
 class XIHE_OT_discard_run(Action, bpy.types.Operator):
     bl_idname = "xihe.discard_run"
     bl_label = "Discard"
-    bl_description = "Delete what the last run of this file, which was left or stopped, has made so far"
+    bl_description = "Delete what the last run of this file, which it does not show, has made so far"
     conditions = (polls.is_idle, polls.has_unshown_run)
 
     def act(self, context: bpy.types.Context) -> None:
-        BackgroundRun(Path(context.window_manager.xihe.unshown_run)).discard()
-        context.window_manager.xihe.unshown_run = ""
+        state = context.window_manager.xihe
+        BackgroundRun(Path(state.unshown_run)).discard()
+        state.newest_run = ""
 
 
 class XIHE_OT_cancel_run(Action, bpy.types.Operator):

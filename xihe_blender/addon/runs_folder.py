@@ -7,6 +7,7 @@ of the scene, which would still be there when the run's folder is gone.
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,7 +56,25 @@ def _made_new(parent: Path, name: str) -> Path:
 def shown_runs() -> set[Path]:
     """Folders of the runs, and of the error budgets, that scenes of the open file show."""
     shown = [scene.xihe.budget_folder for scene in bpy.data.scenes] + [s.xihe.run_folder for s in bpy.data.scenes]
-    return {Path(bpy.path.abspath(folder)) for folder in shown if folder}
+    return {found_folder(folder) for folder in shown if folder}
+
+
+def found_folder(folder: str) -> Path:
+    """Where a run or an error budget lies that a scene remembers in `folder`, as an absolute path.
+
+    If that is gone, it is sought by its name where runs are kept now: the file and its runs were moved together. The
+    path may be of Windows, on another system.
+    """
+    remembered = Path(bpy.path.abspath(folder))
+    if not folder or remembered.is_dir():
+        return remembered
+    moved = runs_folder() / folder_name(folder)
+    return moved if moved.is_dir() else remembered
+
+
+def folder_name(folder: str) -> str:
+    """The last part of a path of any system."""
+    return re.split(r"[/\\]", folder.rstrip("/\\"))[-1]
 
 
 def last_run(folder: str) -> RunResults | None:
@@ -63,7 +82,7 @@ def last_run(folder: str) -> RunResults | None:
     from xihe_blender.io.run_results import read_results
 
     try:
-        return read_results(Path(bpy.path.abspath(folder))) if folder else None
+        return read_results(found_folder(folder)) if folder else None
     except UserError:
         return None
 
@@ -73,6 +92,6 @@ def last_budget(folder: str) -> BudgetResults | None:
     from xihe_blender.io.budget_results import read_budget
 
     try:
-        return read_budget(Path(bpy.path.abspath(folder))) if folder else None
+        return read_budget(found_folder(folder)) if folder else None
     except UserError:
         return None
