@@ -43,6 +43,8 @@ def check_results(results):
     assert all(
         fault["name"] and fault["n"] >= 1 and fault["said"] in results["notes"] for fault in results["scene"]["faults"]
     )
+    faults = {fault["said"] for fault in results["scene"]["faults"]}
+    assert faults <= set(results["warnings"]) <= set(results["notes"])
     _check_effects(results)
     assert [entry["frame"] for entry in results["frames"]] == results["settings"]["frames"]
     for entry in results["frames"]:

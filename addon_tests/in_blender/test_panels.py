@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -107,6 +108,22 @@ def test_several_estimators_stand_in_a_table_with_the_best_picture_first(run_fol
         ("lattice", "0.250", "0.200"),
         ("ambient", "0.500", "none"),
     ]
+
+
+def test_what_a_run_asks_to_check_is_shown_in_the_panels_words_and_the_rest_is_in_the_report(run_folder):
+    said = [
+        "2 frames showed no surface at all: check the camera's clip range.",
+        "Set another with --exposure.",
+        "c",
+        "d",
+    ]
+    for n, shown in ((0, []), (3, [said[0], "Set another with Own Exposure.", "c"])):
+        content = CONTENT | {"notes": ["One Blender unit is 0.1 m", *said], "warnings": said[:n]}
+        (run_folder / "results.json").write_text(json.dumps(content), encoding="utf-8")
+        os.utime(run_folder / "results.json", (n, n))
+        assert panels.shown_warnings(reader.last_run(str(run_folder))) == shown
+    many = replace(reader.last_run(str(run_folder)), warnings=(*said, "e"))
+    assert panels.shown_warnings(many)[3:] == ["And 2 more: see the report"]
 
 
 def test_results_are_read_once_until_they_change(run_folder):

@@ -156,6 +156,7 @@ def test_a_ball_of_a_few_pixels_is_said_to_be_too_small_to_judge_by(tmp_path):
     assert results["summary"]["object_pixels"] == frame["object_pixels"]
     said = f"the virtual objects cover only {round(frame['object_pixels'])} pixels of a picture, too few to judge by"
     assert any(said[1:] in note for note in results["notes"])
+    assert [said[1:] in warning for warning in results["warnings"]] == [True]
     assert said in format_summary(results) and said in (tmp_path / "out" / "report.html").read_text("utf-8")
 
 

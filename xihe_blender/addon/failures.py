@@ -15,6 +15,7 @@ FAILURES = (UserError, OSError, ReferenceError)
 
 IN_THE_PANEL = {
     "--estimator": "Estimator",
+    "--exposure": "Own Exposure",
     "--backend": "Edge Server",
     "--light": "Light",
     "--others": "Compare With",
@@ -33,7 +34,11 @@ def format_error(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror:
         place = "" if error.filename is None else f"{error.filename}: "
         return f"{place}{error.strerror}"
-    line = " ".join(str(error).split())
+    return in_the_panels_words(" ".join(str(error).split()))
+
+
+def in_the_panels_words(line: str) -> str:
+    """`line` with what the panel calls the command line's options."""
     return re.sub(r"--[a-z]+", lambda option: IN_THE_PANEL.get(option[0], option[0]), line)
 
 

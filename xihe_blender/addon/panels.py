@@ -21,6 +21,7 @@ import bpy
 
 from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.calibration import calibration_line
+from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 TAB = "Xihe"
 N_NAMED = 6
 N_EFFECTS = 8
+N_WARNINGS = 3
 LABEL_SHARE = 0.42
 PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
@@ -324,6 +326,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             sentence(context, layout, f"Of the scene as it was at {settings.run_made_of}", icon="INFO")
         if not run.summary.n_active_frames:
             sentence(context, layout, "No virtual object was in view of the camera in any frame", icon="ERROR")
+        for said in shown_warnings(run):
+            sentence(context, layout, said, icon="ERROR")
         if run.recording is not None:
             sentence(context, layout, run.recording.said, icon="INFO")
         _draw_moved(context, layout)
@@ -356,6 +360,13 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.operator_menu_enum("xihe.export_light", "target", text="Export Light")
         row.operator("xihe.open_report", text="Open Report")
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = str(found_folder(settings.run_folder))
+
+
+def shown_warnings(run: RunResults) -> list[str]:
+    """What the run asks to check or change, the first few of it."""
+    said = [in_the_panels_words(warning) for warning in run.warnings]
+    more = len(said) - N_WARNINGS
+    return said if more <= 0 else [*said[:N_WARNINGS], f"And {more} more: see the report"]
 
 
 def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:

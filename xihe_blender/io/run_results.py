@@ -387,6 +387,7 @@ class RunResults:
     ]
     summary: Annotated[Summary, "see there"]
     notes: Annotated[tuple[str, ...], "what a reader has to know, in sentences"] = ()
+    warnings: Annotated[tuple[str, ...], "those of the notes that ask to check or change something"] = ()
     recording: Annotated[RecordingResult | None, "see there; None where captures were rendered"] = None
 
     @property

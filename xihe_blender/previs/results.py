@@ -19,7 +19,7 @@ from xihe_blender.io.provenance import machine, software
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.results_notes import mean_object_pixels, notes, recorded_notes
+from xihe_blender.previs.results_notes import mean_object_pixels, notes, recorded_notes, recorded_warnings, warnings
 from xihe_blender.report.values import mean
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
@@ -165,6 +165,7 @@ def assemble(
         comparison=comparison,
         summary=_summary(frames, comparison, run.sample_count.pilot_s),
         notes=tuple(notes(run, frames, phone) if recording is None else recorded_notes(run, frames, recording)),
+        warnings=tuple(warnings(run, frames) if recording is None else recorded_warnings(run)),
         recording=recording,
     )
 

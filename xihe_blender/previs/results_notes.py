@@ -43,6 +43,21 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
     ]
 
 
+def warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
+    """Those of `notes` that ask the reader to check or change something."""
+    return [
+        *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
+        *dim_notes(run.scene, run.exposure),
+        *exposure_notes(run.settings, run.exposure),
+        *small_notes(frames),
+    ]
+
+
+def recorded_warnings(run: PreparedRun) -> list[str]:
+    """The same of `recorded_notes`."""
+    return [fault.said for fault in run.survey.faults]
+
+
 def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: RecordingResult) -> Iterator[str]:
     """Of a run on a recording, of which nothing was rendered but the objects."""
     yield recording.said
@@ -54,7 +69,7 @@ def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: R
     if run.settings.has_reflections:
         yield "Glossy parts reflect what the phone saw of the room, and a guess where it saw nothing."
     yield from unknown_light_notes(frames)
-    yield from (fault.said for fault in run.survey.faults)
+    yield from recorded_warnings(run)
 
 
 def backend_notes(run: PreparedRun) -> Iterator[str]:
