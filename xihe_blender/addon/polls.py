@@ -18,7 +18,7 @@ from xihe_blender.addon.runs_folder import shown_runs
 from xihe_blender.apply.datablocks import ROOM, has_anything, trigger_markers
 from xihe_blender.io.old_runs import old_runs, runs_in
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
-from xihe_blender.scene.virtual_objects import has_renderable_geometry, virtual_objects
+from xihe_blender.scene.virtual_objects import collections_of, has_renderable_geometry, virtual_objects
 
 Condition = Callable[[bpy.types.Context], str | None]
 
@@ -87,7 +87,7 @@ def has_virtual_objects(context: bpy.types.Context) -> str | None:
 
 def doubts(scene: bpy.types.Scene) -> list[str]:
     """Why a run would tell little, in sentences: it is not refused. What the first look at the scene shows."""
-    found = []
+    found = _doubts_of_objects(scene)
     if not any(map(may_move, _cameras(scene))):
         found.append("The camera does not move: the phone will see one side of the room alone")
     if not _has_room(scene):
@@ -97,6 +97,59 @@ def doubts(scene: bpy.types.Scene) -> list[str]:
     return found
 
 
+def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
+    virtual, rendered = virtual_objects(scene), _rendered_objects(scene)
+    unseen = [item.name for item in virtual if item not in rendered]
+    bare = [item.name for item in virtual if _is_bare_curve(item)]
+    around = [item.name for item in virtual if any(_encloses(item, camera) for camera in _cameras(scene))]
+    found = []
+    if unseen:
+        are, them = ("is", "it") if len(unseen) == 1 else ("are", "them")
+        found.append(f"{_named(unseen)} {are} disabled in renders: no picture will show {them}")
+    if bare:
+        has, it = ("has", "it") if len(bare) == 1 else ("have", "them")
+        found.append(f"{_named(bare)} {has} no surface, only a curve: give {it} a bevel, an extrusion or a fill")
+    if around:
+        encloses, it = ("encloses", "is it") if len(around) == 1 else ("enclose", "are they")
+        said = "Only what the phone inserts is to be virtual"
+        found.append(f"{_named(around)} {encloses} the camera: {it} the room? {said}")
+    return found
+
+
+def _named(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+
+
+def _rendered_objects(scene: bpy.types.Scene) -> set[bpy.types.Object]:
+    """Virtual objects that renders show, by themselves and by their collections, at some frame at least."""
+    virtual, _ = collections_of(scene)
+    found: set[bpy.types.Object] = set()
+    enabled = [scene.collection]
+    while enabled:
+        collection = enabled.pop()
+        enabled += [child for child in collection.children if not child.hide_render]
+        if collection in virtual:
+            found.update(item for item in collection.objects if not item.hide_render or _is_animated(item))
+    return found
+
+
+def _is_bare_curve(item: bpy.types.Object) -> bool:
+    """Whether it is a curve that nothing makes a surface of."""
+    if item.type != "CURVE" or item.modifiers or item.data.bevel_depth or item.data.extrude or item.data.bevel_object:
+        return False
+    is_filled = item.data.dimensions == "2D" and item.data.fill_mode != "NONE"
+    return not (is_filled and any(spline.use_cyclic_u for spline in item.data.splines))
+
+
+def _encloses(item: bpy.types.Object, camera: bpy.types.Object) -> bool:
+    """Whether the camera is inside the object's bounding box, which turns with the object."""
+    if item.type == "EMPTY":
+        return False
+    place = item.matrix_world.inverted_safe() @ camera.matrix_world.translation
+    corners = [tuple(corner) for corner in item.bound_box]
+    return all(min(axis) < along < max(axis) for axis, along in zip(zip(*corners, strict=True), place, strict=True))
+
+
 def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     cameras = {marker.camera for marker in scene.timeline_markers} | {scene.camera}
     return [camera for camera in cameras if camera is not None]
@@ -104,12 +157,16 @@ def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def may_move(item: bpy.types.Object) -> bool:
     """Whether keys, drivers, constraints or physics could move it, or what it hangs on."""
-    animation = item.animation_data
-    if animation is not None and (animation.action or animation.drivers or animation.nla_tracks):
+    if _is_animated(item):
         return True
     if item.constraints or item.rigid_body is not None:
         return True
     return item.parent is not None and may_move(item.parent)
+
+
+def _is_animated(item: bpy.types.Object) -> bool:
+    animation = item.animation_data
+    return animation is not None and bool(animation.action or animation.drivers or animation.nla_tracks)
 
 
 def _has_room(scene: bpy.types.Scene) -> bool:
