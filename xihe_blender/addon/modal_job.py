@@ -172,7 +172,8 @@ class ModalJob:
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type == "ESC" and event.value == "PRESS":
+        # Esc during playback stops that, and only then a job.
+        if event.type == "ESC" and event.value == "PRESS" and not context.screen.is_animation_playing:
             context.window_manager.xihe.is_cancel_wanted = True
         if context.window_manager.xihe.is_cancel_wanted:
             self.stop()

@@ -53,6 +53,10 @@ def test_a_stopped_run_resumes_or_is_discarded(free_window):
     assert facts["resumed"]["same"] and facts["discarded"]
 
 
+def test_escape_during_playback_stops_only_that(cancel):
+    assert cancel.facts["after_playback"] == {"plays": False, "runs": True}
+
+
 @pytest.mark.parametrize("way", ["stopped_with_escape", "stopped_with_button"])
 def test_a_run_that_is_cancelled_leaves_nothing_in_the_file(cancel, way):
     assert cancel.facts[way]["same"], cancel.facts[way]

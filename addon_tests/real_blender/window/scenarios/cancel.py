@@ -1,4 +1,4 @@
-"""A run that is stopped: once with Esc, once with the button beside the progress bar."""
+"""A run that is stopped: once with Esc, once with the button beside the progress bar; the first Esc ends playback."""
 
 import bpy
 from rooms import look_through_camera, make_runs_short, room_with_a_virtual_ball
@@ -39,6 +39,13 @@ def scenario(w):
     def escape():
         w.move(w.area.x + w.area.width * 0.3, w.area.y + w.area.height * 0.5)
         yield 0.3
+        with w.context():
+            bpy.ops.screen.animation_play()
+        yield 1
+        w.press("Escape")
+        yield 1
+        is_playing = bpy.context.screen.is_animation_playing
+        w.facts["after_playback"] = {"plays": is_playing, "runs": bpy.context.window_manager.xihe.is_running}
         w.press("Escape")
 
     def button():
