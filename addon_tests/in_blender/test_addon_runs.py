@@ -122,7 +122,7 @@ def test_an_object_that_is_deleted_meanwhile_ends_the_run_with_one_line(tmp_path
         if scene.name == "Xihe Reference Probe" and "Ball" in bpy.data.objects:
             bpy.data.objects.remove(bpy.data.objects["Ball"])
 
-    deleted = pytest.raises(RuntimeError, match="was deleted during the run: run again")
+    deleted = pytest.raises(RuntimeError, match="was deleted meanwhile: try again")
     with handler_in(bpy.app.handlers.render_post, delete), deleted:
         bpy.ops.xihe.run()
     assert [scene.name for scene in bpy.data.scenes] == ["Scene"] and list(tmp_path.iterdir()) == []

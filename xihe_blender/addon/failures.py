@@ -30,7 +30,7 @@ IN_THE_PANEL = {
 def format_error(error: BaseException) -> str:
     """`error` in one line."""
     if isinstance(error, ReferenceError):
-        return "The scene or one of its objects was deleted during the run: run again"
+        return "The scene or one of its objects was deleted meanwhile: try again"
     if isinstance(error, OSError) and error.strerror:
         place = "" if error.filename is None else f"{error.filename}: "
         return f"{place}{error.strerror}"
