@@ -11,6 +11,7 @@ from shown_lights import keyed
 from tiny_scenes import key, opened, sphere
 
 from xihe_blender.addon import live_light
+from xihe_blender.addon.panels import moved_positions
 from xihe_blender.addon.results_in_blender import apply_results
 from xihe_blender.apply.datablocks import LightOf
 from xihe_blender.apply.sh_worlds import f_curves
@@ -76,6 +77,18 @@ def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(sce
         (frame, pytest.approx(share)) for frame, share in found.coverage.items()
     ]
     assert all(np.array_equal(light, other[k]) for k, light in keyed(bpy.data.worlds["Xihe Board"])[0].items())
+
+
+def test_the_panel_tells_of_what_was_moved_until_it_is_renamed_or_deleted(scene):
+    for name in ("Ball", "Board"):
+        bpy.data.objects[name].location.x += 0.4
+    bpy.context.view_layer.update()
+    assert bpy.ops.xihe.update_light() == {"FINISHED"}
+    assert moved_positions(scene).keys() == {"Ball", "Board 1", "Board 2"}
+    bpy.data.objects["Ball"].name = "Globe"
+    assert moved_positions(scene).keys() == {"Board 1", "Board 2"}
+    bpy.data.objects.remove(bpy.data.objects["Board"])
+    assert moved_positions(scene) == {}
 
 
 def test_an_object_that_is_put_back_has_the_light_and_the_errors_of_the_run_again(scene):

@@ -25,7 +25,7 @@ from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
-from xihe_blender.apply.datablocks import live_positions
+from xihe_blender.apply.datablocks import PREFIX, LightOf, live_positions, shortened
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.formats import format_duration
@@ -362,6 +362,14 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = str(found_folder(settings.run_folder))
 
 
+def moved_positions(scene: bpy.types.Scene) -> dict[str, tuple[float, float | None]]:
+    """`live_positions` of the virtual objects of `scene`: light of one that was renamed or deleted is still there."""
+    worlds = [bpy.data.worlds.get((shortened(f"{PREFIX}{item.name}"), None)) for item in virtual_objects(scene)]
+    lights = [of for world in worlds if world is not None and (of := LightOf.read(world)) is not None]
+    here = {name for light in lights for name in light.live}
+    return {name: known for name, known in live_positions().items() if name in here}
+
+
 def shown_warnings(run: RunResults) -> list[str]:
     """What the run asks to check or change, the first few of it."""
     said = [in_the_panels_words(warning) for warning in run.warnings]
@@ -371,7 +379,7 @@ def shown_warnings(run: RunResults) -> list[str]:
 
 def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     """What is known of the light at objects that were moved since the run, and that all below is of the run."""
-    moved = live_positions()
+    moved = moved_positions(context.scene)
     for name, (coverage, error) in moved.items():
         expected = "" if error is None else f", expected error {error:.3f}"
         sentence(context, layout, f"{name} was moved: coverage {coverage:.0%}{expected}", icon="CON_FOLLOWTRACK")
