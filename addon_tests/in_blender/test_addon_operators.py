@@ -9,7 +9,7 @@ import pytest
 from addon_runs import enable_preferences, poll_message, registered_addon, small_panel_runs, walk_for_the_panel
 from previs_runs import walk
 from scene_snapshot import differences, snapshot
-from tiny_scenes import box, empty_scene, phone, room_with_a_virtual_sphere, saved
+from tiny_scenes import add, box, empty_scene, phone, room_with_a_virtual_sphere, saved
 
 from xihe_blender.addon.preferences import own_folder, runs_folder
 from xihe_blender.addon.run_settings import previs_settings
@@ -97,6 +97,29 @@ def test_a_virtual_object_leaves_every_collection_of_the_room_and_keeps_its_pare
     assert vase.name in other.collection.objects and vase.name not in scene.collection.objects
     assert vase.parent == table and vase.matrix_world == place
     assert table not in virtual_objects(scene)
+
+
+@pytest.mark.parametrize("data", [None, "Rig"])
+def test_a_model_whose_empty_or_armature_alone_is_selected_is_added_and_taken_back_with_its_parts(data):
+    scene = room_with_a_virtual_sphere()
+    root = add(scene, "Model", data and bpy.data.armatures.new(data))
+    inner, lamp = add(scene, "Inner", None), add(scene, "Bulb", bpy.data.lights.new("Bulb", "POINT"))
+    body, wheel = (box(scene, name, (0, 0, 1), (0.1, 0.1, 0.1)) for name in ("Body", "Wheel"))
+    inner.parent, lamp.parent, body.parent, wheel.parent = root, root, root, inner
+    shade = box(scene, "Shade", (0, 0, 1), (0.1, 0.1, 0.1))
+    shade.parent = bpy.data.objects["Phone"]
+    before = memberships()
+    select("Phone")
+    assert "has a surface to light" in poll_message(bpy.ops.xihe.add_virtual_objects), "a camera is no model"
+    select("Model")
+    assert bpy.ops.xihe.add_virtual_objects() == {"FINISHED"}
+    assert {item.name for item in virtual_objects(scene)} == {"Ball", "Body", "Wheel"}
+    assert {name: homes for name, homes in memberships().items() if name not in ("Body", "Wheel")} == {
+        name: homes for name, homes in before.items() if name not in ("Body", "Wheel")
+    }
+    assert poll_message(bpy.ops.xihe.add_virtual_objects) == "The selected objects are virtual already"
+    assert bpy.ops.xihe.remove_virtual_objects() == {"FINISHED"}
+    assert memberships() == before
 
 
 def test_making_nothing_virtual_makes_no_collection():

@@ -18,7 +18,7 @@ from xihe_blender.addon.runs_folder import shown_runs
 from xihe_blender.apply.datablocks import ROOM, has_anything, trigger_markers
 from xihe_blender.io.old_runs import old_runs, runs_in
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
-from xihe_blender.scene.virtual_objects import collections_of, has_renderable_geometry, virtual_objects
+from xihe_blender.scene.virtual_objects import collections_of, has_renderable_geometry, virtual_objects, with_parts
 
 Condition = Callable[[bpy.types.Context], str | None]
 
@@ -186,14 +186,15 @@ def _has_denoiser() -> bool:
 def has_selected_room_objects(context: bpy.types.Context) -> str | None:
     if not context.selected_objects:
         return "Select the objects that the phone should insert"
-    able = [item for item in context.selected_objects if has_renderable_geometry(item)]
+    able = [item for item in with_parts(context.scene, context.selected_objects) if has_renderable_geometry(item)]
     if not able:
         return "None of the selected objects has a surface to light: select meshes, curves or texts"
     return "The selected objects are virtual already" if set(able) <= set(virtual_objects(context.scene)) else None
 
 
 def has_selected_virtual_objects(context: bpy.types.Context) -> str | None:
-    is_one_selected = set(context.selected_objects) & set(virtual_objects(context.scene))
+    selected = with_parts(context.scene, context.selected_objects)
+    is_one_selected = set(selected) & set(virtual_objects(context.scene))
     return None if is_one_selected else "Select virtual objects first"
 
 

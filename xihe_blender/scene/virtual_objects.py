@@ -11,7 +11,7 @@ worlds that light them.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import bpy
 
@@ -22,6 +22,8 @@ NAME_PATTERN = re.compile(rf"{COLLECTION_NAME}(\.\d{{3,}})?")
 """Names are unique in a file: of two scenes, the second one's collection is "Xihe Virtual.001"."""
 
 GEOMETRY_TYPES = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META", "VOLUME", "CURVES", "POINTCLOUD"})
+HOLDER_TYPES = frozenset({"EMPTY", "ARMATURE"})
+"""Kinds of objects that hold the parts of a model together, and show up in no render."""
 
 
 def virtual_collection(scene: bpy.types.Scene, *, create: bool = False) -> bpy.types.Collection | None:
@@ -60,11 +62,11 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
 
     An object is taken out of every collection of the room, since one that is in both would be captured and light
     itself; collections of other scenes keep it. Parents, children and transforms stay as they are. Objects without
-    renderable geometry (lamps, cameras) are left where they are.
+    renderable geometry (lamps, cameras) are left where they are; for one that holds others together see `with_parts`.
 
     Gives those that are virtual now. UserError, with nothing changed, for an object in a collection of another file.
     """
-    chosen = [item for item in objects if has_renderable_geometry(item)]
+    chosen = [item for item in with_parts(scene, objects) if has_renderable_geometry(item)]
     virtual, room = collections_of(scene)
     _check_are_own(chosen, [*virtual, *room])
     collection = virtual_collection(scene, create=bool(chosen))
@@ -84,7 +86,7 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     UserError, with nothing changed, for an object in a collection of another file.
     """
     virtual, room = collections_of(scene)
-    chosen = [item for item in objects if virtual & set(item.users_collection)]
+    chosen = [item for item in with_parts(scene, objects) if virtual & set(item.users_collection)]
     _check_are_own(chosen, [*virtual, *room])
     for item in chosen:
         if not room & set(item.users_collection):
@@ -92,6 +94,22 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
         for home in virtual & set(item.users_collection):
             home.objects.unlink(item)
     return chosen
+
+
+def with_parts(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
+    """`objects`, and what has renderable geometry below the empties and armatures among them, as in imported models."""
+    given = list(objects)
+    holders = {item for item in given if item.type in HOLDER_TYPES and not has_renderable_geometry(item)}
+    parts = scene.objects if holders else ()
+    below = [item for item in parts if has_renderable_geometry(item) and holders.intersection(_ancestors(item))]
+    return list(dict.fromkeys([*given, *below]))
+
+
+def _ancestors(item: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    above = item.parent
+    while above is not None:
+        yield above
+        above = above.parent
 
 
 def collections_of(scene: bpy.types.Scene) -> tuple[set[bpy.types.Collection], set[bpy.types.Collection]]:
