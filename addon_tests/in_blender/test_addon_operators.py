@@ -99,6 +99,29 @@ def test_a_virtual_object_leaves_every_collection_of_the_room_and_keeps_its_pare
     assert table not in virtual_objects(scene)
 
 
+def test_an_object_goes_back_into_the_collections_that_it_was_in_where_they_are_still_there():
+    scene = room_with_a_virtual_sphere()
+    homes = [bpy.data.collections.new(name) for name in ("Furniture", "Props")]
+    for home in homes:
+        scene.collection.children.link(home)
+    vase, table = box(scene, "Vase", (0, 0, 1), (0.1, 0.1, 0.1), collection=homes[0]), bpy.data.objects["Table"]
+    homes[1].objects.link(vase)
+    before = memberships()
+    for _ in range(2):
+        make_virtual(scene, [vase, table])
+        make_virtual(scene, [vase])  # Once more changes nothing.
+        assert make_room(scene, [vase, table]) == [vase, table]
+        assert memberships() == before and not list(vase.keys()) and not list(table.keys())
+    make_virtual(scene, [vase])
+    bpy.data.collections.remove(homes[0])
+    make_room(scene, [vase])
+    assert memberships()["Vase"] == ["Props"]
+    make_virtual(scene, [vase])
+    bpy.data.collections.remove(homes[1])
+    make_room(scene, [vase])
+    assert memberships()["Vase"] == ["Scene Collection"]
+
+
 @pytest.mark.parametrize("data", [None, "Rig"])
 def test_a_model_whose_empty_or_armature_alone_is_selected_is_added_and_taken_back_with_its_parts(data):
     scene = room_with_a_virtual_sphere()

@@ -10,6 +10,7 @@ worlds that light them.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -22,6 +23,10 @@ NAME_PATTERN = re.compile(rf"{COLLECTION_NAME}(\.\d{{3,}})?")
 """Names are unique in a file: of two scenes, the second one's collection is "Xihe Virtual.001"."""
 
 GEOMETRY_TYPES = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META", "VOLUME", "CURVES", "POINTCLOUD"})
+HOMES = "xihe_homes"
+"""Custom property of a virtual object: names of the collections of the room that it was in, where there is more to know
+than that it was in the master collection. Names, since the collections would follow the object into other files."""
+
 HOLDER_TYPES = frozenset({"EMPTY", "ARMATURE"})
 """Kinds of objects that hold the parts of a model together, and show up in no render."""
 
@@ -75,14 +80,18 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
         # Linked before it is unlinked, so that it stays selected.
         if not virtual & set(item.users_collection):
             collection.objects.link(item)
-        for home in room & set(item.users_collection):
+        homes = room & set(item.users_collection)
+        if homes:
+            _remember_homes(scene, item, homes)
+        for home in homes:
             home.objects.unlink(item)
     return chosen
 
 
 def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
-    """Move virtual `objects` back into the room of `scene`, into its master collection; gives those that were virtual.
+    """Move virtual `objects` back into the room of `scene`; gives those that were virtual.
 
+    Into the collections that `make_virtual` took them out of, where those are still there, else the master collection.
     UserError, with nothing changed, for an object in a collection of another file.
     """
     virtual, room = collections_of(scene)
@@ -90,10 +99,29 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     _check_are_own(chosen, [*virtual, *room])
     for item in chosen:
         if not room & set(item.users_collection):
-            scene.collection.objects.link(item)
+            for home in _homes(scene, item, room):
+                home.objects.link(item)
+        if item.library is None:
+            item.pop(HOMES, None)
         for home in virtual & set(item.users_collection):
             home.objects.unlink(item)
     return chosen
+
+
+def _remember_homes(scene: bpy.types.Scene, item: bpy.types.Object, homes: set[bpy.types.Collection]) -> None:
+    if item.library is not None:  # An object that is linked cannot remember anything.
+        return
+    item.pop(HOMES, None)
+    if homes != {scene.collection}:
+        item[HOMES] = json.dumps(sorted(home.name for home in homes))
+
+
+def _homes(
+    scene: bpy.types.Scene, item: bpy.types.Object, room: set[bpy.types.Collection]
+) -> list[bpy.types.Collection]:
+    """Those of the collections of `room` that `item` was taken out of, at least the master collection of `scene`."""
+    names = json.loads(item.get(HOMES, "[]"))
+    return [home for home in room if home.name in names and home.library is None] or [scene.collection]
 
 
 def with_parts(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
