@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 import pytest
 import tiny_scenes
+from addon_runs import registered_addon
 
 from addon_tests.pure import runs
 from xihe_blender.addon import overlay, panels, polls
@@ -276,6 +277,14 @@ def test_every_panel_is_in_the_tab_in_the_order_of_the_chain():
     assert [cls.bl_order for cls in stages] == list(range(len(stages)))
     names = ["Virtual Objects", "Camera Path", "Effects", "Estimator", "Run", "Apply", "Results"]
     assert [cls.bl_label for cls in stages] == names
+
+
+def test_the_readme_says_where_the_quickest_quality_is_chosen():
+    readme = Path(__file__).parents[2].joinpath("README.md").read_text(encoding="utf-8")
+    with registered_addon():
+        quality = bpy.context.scene.xihe.bl_rna.properties["preset"]
+        where = f"{panels.XIHE_PT_estimator.bl_label} > {quality.name} > {quality.enum_items['draft'].name}"
+    assert f"**{where}** is quickest" in readme
 
 
 @pytest.mark.wheel_only(
