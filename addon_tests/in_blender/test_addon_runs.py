@@ -178,6 +178,14 @@ def test_a_lost_run_can_be_discarded(project):
     assert job.unshown_run == "" and not (project / "xihe_runs" / LATER).exists()
 
 
+def test_a_lost_run_is_offered_where_its_file_was_moved_together_with_it(project, tmp_path):
+    (project / "other.blend").write_bytes((project / "room.blend").read_bytes())
+    moved = project.rename(tmp_path / "moved")
+    assert opened_project(moved).unshown_run == str(moved / "xihe_runs" / LATER)
+    bpy.ops.wm.open_mainfile(filepath=str(moved / "other.blend"), load_ui=False)
+    assert bpy.context.window_manager.xihe.unshown_run == ""
+
+
 def test_a_run_is_found_where_its_file_was_moved_together_with_it(project, tmp_path):
     later = project / "xihe_runs" / LATER
     opened_project(project)

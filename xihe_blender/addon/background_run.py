@@ -26,6 +26,7 @@ from typing import IO, Any
 import bpy
 
 from xihe_blender.addon.preferences import runs_folder
+from xihe_blender.addon.runs_folder import last_part
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import Parameters, as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json, written_whole
@@ -197,12 +198,16 @@ def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> 
 
 
 def newest_run(blend: str) -> Path | None:
-    """Folder of the newest run of the file `blend`, whatever became of it; None without one."""
+    """Folder of the newest run of the file `blend`, whatever became of it; None without one.
+
+    A run beside the file is of the file of that name, wherever both were when it was begun.
+    """
     runs = [BackgroundRun(path.parents[1]) for path in runs_folder().glob("*/work/request.json")] if blend else []
     found = []
     for run in runs:
         with contextlib.suppress(UserError):
-            if run.request.blend == blend:
+            is_beside = run.folder.parent.parent == Path(blend).parent
+            if run.request.blend == blend or (is_beside and last_part(run.request.blend) == Path(blend).name):
                 found.append((run.request.started, run.folder))
     return max(found, default=(0.0, None))[1]
 

@@ -8,7 +8,7 @@ import bpy
 
 from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import preferences
-from xihe_blender.addon.runs_folder import folder_name, found_folder
+from xihe_blender.addon.runs_folder import found_folder, last_part
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.errors import UserError
 
@@ -49,8 +49,8 @@ def _unshown_run(state: XiheJobState) -> str:
 
     By the name of its folder: a file and its runs may have been moved together.
     """
-    shown = {folder_name(scene.xihe.run_folder) for scene in bpy.data.scenes}
-    return "" if folder_name(state.newest_run) in shown else str(state.newest_run)
+    shown = {last_part(scene.xihe.run_folder) for scene in bpy.data.scenes}
+    return "" if last_part(state.newest_run) in shown else str(state.newest_run)
 
 
 def _own_frames_wanted(settings: XiheSceneSettings, _context: bpy.types.Context) -> None:

@@ -68,13 +68,13 @@ def found_folder(folder: str) -> Path:
     remembered = Path(bpy.path.abspath(folder))
     if not folder or remembered.is_dir():
         return remembered
-    moved = runs_folder() / folder_name(folder)
+    moved = runs_folder() / last_part(folder)
     return moved if moved.is_dir() else remembered
 
 
-def folder_name(folder: str) -> str:
+def last_part(path: str) -> str:
     """The last part of a path of any system."""
-    return re.split(r"[/\\]", folder.rstrip("/\\"))[-1]
+    return re.split(r"[/\\]", path.rstrip("/\\"))[-1]
 
 
 def last_run(folder: str) -> RunResults | None:

@@ -129,7 +129,7 @@ def with_parts(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> l
     given = list(objects)
     holders = {item for item in given if item.type in HOLDER_TYPES and not has_renderable_geometry(item)}
     parts = scene.objects if holders else ()
-    below = [item for item in parts if has_renderable_geometry(item) and holders.intersection(_ancestors(item))]
+    below = [item for item in parts if holders.intersection(_ancestors(item)) and has_renderable_geometry(item)]
     return list(dict.fromkeys([*given, *below]))
 
 
