@@ -227,6 +227,7 @@ def test_each_frame_has_what_the_phone_saw_last(ran, shown):
     behind = phone.background_images[0]
     assert phone.show_background_images and behind.image.source == "SEQUENCE"
     assert (behind.image_user.frame_start, behind.image_user.frame_duration) == (1, N_FRAMES)
+    assert behind.image.filepath.replace("\\", "/") == "//lit/frame_0001.png", "the file and its runs may be moved"
     files = sorted((ran.out / "lit").iterdir())
     assert [file.name for file in files] == [f"frame_{i:04d}.png" for i in range(1, N_FRAMES + 1)]
     captured = [RunOutputs(ran.out).picture("captured", frame) for frame in range(1, N_FRAMES + 1)]

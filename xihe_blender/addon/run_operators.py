@@ -54,6 +54,10 @@ class Following(ModalJob):
             # A run in this process cannot be taken up, and an earlier one is the newest no more.
             context.window_manager.xihe.newest_run = ""
         self.report({"INFO"}, f"The run is finished: {self.folder}")
+        from xihe_blender.addon.results_in_blender import left_out
+
+        if missing := left_out(chosen.id_data, self.folder):
+            self.report({"WARNING"}, missing)
         return {"FINISHED"}
 
 

@@ -81,7 +81,10 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
 
     The picture keeps the frames' shape, and is as large along its longer side as the scene's own.
     """
-    image = bpy.data.images.load(str(frames.write_sequence()))
+    first = frames.write_sequence()
+    image = bpy.data.images.load(str(first))
+    if bpy.data.filepath and first.is_relative_to(Path(bpy.data.filepath).parent):
+        image.filepath = bpy.path.relpath(str(first))  # The file and its runs may be moved together.
     image.name, image.source = f"{LIT_SCENE} Frames", "SEQUENCE"
     copies: dict[bpy.types.Object, bpy.types.Object] = {}
     for owner in (lit, *lit.timeline_markers):
