@@ -34,7 +34,7 @@ HEAD = """\
 
 def measured(file, folder, effort, seed):
     """What `measure_rendering` gives for the presets on one scene, and how many errors belong to one view."""
-    scene, rng = open_blend(file), np.random.default_rng(seed)
+    scene = open_blend(file)
     plan, survey = survey_scene(scene)
     settings = FrontierSettings(seed=seed, study_size=effort)
     study = SceneStudy(scene, plan, survey, folder / file.stem, settings)
@@ -54,7 +54,7 @@ def measured(file, folder, effort, seed):
                 **vars(study), scanner=scanner, capture=capture, views=views, choices=choices, exhaustive=exhaustive
             )
             nothing = dict.fromkeys(COMPUTED_BY, 0.0)
-            alone, _ = run_blocking(measure_rendering(renders, nothing, rng))
+            alone, _ = run_blocking(measure_rendering(renders, nothing))
     return alone, [len(positions_m) * effort.n_seeds for positions_m in views.values()]
 
 

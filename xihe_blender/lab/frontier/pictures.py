@@ -73,7 +73,7 @@ def picture_choices(presets: Mapping[str, RenderChoice]) -> list[RenderCandidate
 
 
 def measure_pictures(
-    study: RenderStudy, choices: Sequence[RenderCandidate], rng: np.random.Generator
+    study: RenderStudy, choices: Sequence[RenderCandidate]
 ) -> Job[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
@@ -81,7 +81,7 @@ def measure_pictures(
     read = functools.partial(kept_pictures, choices)
     for number, frame in enumerate(frames):
         path = study.folder / f"pictures_{frame:04d}.json"
-        job = part_of(len(frames), number, 1, _view_measured(study, choices, frame, rng))
+        job = part_of(len(frames), number, 1, _view_measured(study, choices, frame))
         rounds.append((yield from kept_or_done(path, read, job)))
     if not rounds:
         return [], {}
@@ -112,12 +112,12 @@ def kept_pictures(choices: Sequence[RenderCandidate], content: Json) -> Pictures
     return taken
 
 
-def _view_measured(
-    study: RenderStudy, choices: Sequence[RenderCandidate], frame: int, rng: np.random.Generator
-) -> Job[PicturesTaken]:
+def _view_measured(study: RenderStudy, choices: Sequence[RenderCandidate], frame: int) -> Job[PicturesTaken]:
     yield Progress(0, 1, f"comparing frame {frame} exhaustively")
     captured = study.reference(frame)
     study.scanner.move_to(frame)
+    study.load_scene(study.settings.seed)
+    rng = np.random.default_rng([study.settings.seed, frame])
     lights = {by.label: Session(study, frame, by.estimator).lights_after(captured) for by in METHODS}
     comparison = replace(study.capture, samples=1)
     # Of the user's scene: in the scanner's there are no virtual objects.
@@ -133,7 +133,7 @@ def _view_measured(
         with open_comparer(
             study.scene, study.plan.objects, [base], comparison, has_key_light=has_key_light
         ) as comparer:
-            _set_up(comparer, 1, study.settings.seed)
+            _set_up(comparer, max(choice.picture_samples or 1 for choice in own), study.settings.seed)
             comparer.render_comparison(captured, {base: lights[base]})
             for number in rng.permutation(len(own)):
                 choice = own[number]

@@ -4,6 +4,9 @@ Each frame is rendered exhaustively once, then by every choice in turn, with a f
 light estimated, so that nothing is rendered for its time alone. Before a frame's first timed render comes a small one
 that loads the scene. One thread: two would be timed as waiting for each other. The exhaustive render, which nobody
 times, takes all.
+
+Cycles lays out the noise of a kept scene for the most samples that it has rendered it with so far, never again for
+fewer. The small render has as many as any other, so that no render depends on those before it.
 """
 
 from __future__ import annotations
@@ -74,9 +77,18 @@ class RenderStudy(SceneStudy):
         """One that no other render has."""
         return (self.settings.seed + self.study_size.n_seeds) % MAX_SEED
 
+    def load_scene(self, seed: int) -> None:
+        """Have the scanner's scene loaded, and its noise laid out for the most samples."""
+        samples = max(self.capture.samples, *(one.choice.samples for one in self.choices), self.exhaustive.samples)
+        rendered(self.scanner, RenderChoice((16, 16), samples, is_denoised=False), seed)
+
     def reference(self, frame: int) -> RgbdFrame:
         """The exhaustive render, made where it is not kept."""
-        render = functools.partial(rendered, self.scanner, self.exhaustive, self.exhaustive_seed, n_threads=0)
+
+        def render() -> RgbdFrame:
+            self.load_scene(self.exhaustive_seed)
+            return rendered(self.scanner, self.exhaustive, self.exhaustive_seed, n_threads=0)
+
         return kept_capture(self.folder / f"exhaustive_{frame:04d}.exr", self.scanner, frame, render)
 
 
@@ -116,7 +128,7 @@ def kept_capture(path: Path, scanner: CyclesScanner, frame: int, render: Callabl
 
 
 def measure_rendering(
-    study: RenderStudy, computing_ms: Mapping[ComputeChoice, float], rng: np.random.Generator
+    study: RenderStudy, computing_ms: Mapping[ComputeChoice, float]
 ) -> Job[tuple[list[Measured], list[Measured]]]:
     """Ways to render alone, and together with ways to compute, whose milliseconds per frame are known."""
     backends = {choice: ChoiceBackend(choice) for choice in COMPUTED_BY}
@@ -130,7 +142,7 @@ def measure_rendering(
         truth = _lights(all_backends, study.reference(frame), positions_m)
         read = functools.partial(kept_round, study.choices, len(positions_m))
         for seed in range(n_seeds):
-            job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, frame, seed, backends, rng))
+            job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, frame, seed, backends))
             path = study.folder / f"round_{frame:04d}_{seed}.json"
             rounds.append(((yield from kept_or_done(path, read, job)), truth))
     alone = [_measured(choice, COMPUTED_BY[0], rounds) for choice in study.choices]
@@ -178,12 +190,13 @@ def use_threads(scene: bpy.types.Scene, n_threads: int) -> None:
 
 
 def _render_round(
-    study: RenderStudy, frame: int, seed: int, backends: Mapping[ComputeChoice, ChoiceBackend], rng: np.random.Generator
+    study: RenderStudy, frame: int, seed: int, backends: Mapping[ComputeChoice, ChoiceBackend]
 ) -> Job[Round]:
     """In random order."""
     scanner, taken = study.scanner, dict[str, Taken]()
     scanner.move_to(frame)
-    rendered(scanner, RenderChoice((16, 16), 1, is_denoised=False), seed)
+    study.load_scene(seed)
+    rng = np.random.default_rng([study.settings.seed, frame, seed])
     choices = [candidate.choice for candidate in study.choices]
     costs = np.array([choice.samples * choice.size[0] * choice.size[1] for choice in choices], float)
     done = 0.0

@@ -142,7 +142,6 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
     """All that is measured on the scene in `file`; work is kept in `folder`."""
     scene = open_blend(file)
     study = SceneStudy(scene, *survey_scene(scene, settings.size), folder, settings)
-    rng = np.random.default_rng(settings.seed)
     study_size, size, done = study.study_size, study.plan.size, 0.0
 
     def share(name: str, job: Job[Result]) -> Job[Result]:
@@ -159,6 +158,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
             scanner.exposure = prepared.exposure
             walk = yield from share("walking", _walk(study, prepared, scanner))
             backends = {choice: ChoiceBackend(choice) for choice in compute_choices(is_quick=settings.is_quick)}
+            rng = np.random.default_rng(settings.seed)
             computed = yield from share("computing", measure_compute(backends, walk, study_size.n_rounds, rng))
             seen = evenly_chosen(list(zip(walk.frames, walk.active, strict=True)), study_size.n_views)
             renders = RenderStudy(
@@ -172,8 +172,8 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
             )
             medians = [median_and_spread(one.times_ms)[0] for one in computed]
             computing_ms = dict(zip(backends, medians, strict=True))
-            rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms, rng))
-            job = measure_pictures(renders, picture_choices(presets), rng)
+            rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms))
+            job = measure_pictures(renders, picture_choices(presets))
             pictured, of_estimators = yield from share("pictures", job)
     of_pictures = {label: {OF_TRUTH[0]: errors} for label, errors in of_estimators.items()}
     computed = [replace(one, square_errors=one.square_errors | of_pictures.get(one.label, {})) for one in computed]
