@@ -7,7 +7,7 @@ the scene itself is set, interleaved seed by seed on one thread. Times are the p
 machine disturbs least. A ratio is the median over the seeds of two renders that followed each other, with the interval
 in which it lies with 95 % (bootstrap over the seeds): what is said of it must hold for its upper end. The means
 over the seeds agree where the whole picture's and 16 blocks' differ by no more than two standard errors, see
-`xihenet.agreement`.
+`addon_tests/agreement.py`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.light_transport import cycles_settings, required_effects
 from xihe_blender.previs.required_effects import positions_in
 from xihe_blender.scene.blend_file import open_blend
-from xihenet.agreement import agreement
 from xihenet.effects import plan_effects
 from xihenet.records import ArrayF32
 
@@ -37,6 +36,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "addon_tests" / "in_blender")]
 
 from planned_effects import everything_on  # noqa: E402
+
+from addon_tests.agreement import agreement  # noqa: E402
 
 SCENES = ROOT / "blend_scenes"
 HEAD = (

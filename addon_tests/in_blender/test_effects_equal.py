@@ -1,6 +1,6 @@
 """Does what the plan leaves out change the picture? Renders with the plan beside renders with everything on.
 
-Both sides are rendered with the same 16 seeds, 32x24 pixels, and compared by `xihenet.agreement`. Where the plan
+Both sides are rendered with the same 16 seeds, 32x24 pixels, and compared by `addon_tests/agreement.py`. Where the plan
 changes nothing that a path could have met, they are the same to the last bit; where it cuts bounces or chooses lights
 otherwise, they are not, and the statistic decides. With fixed seeds the outcome is fixed too. That the statistic would
 notice is tested as well: the effects that a scene does call for are switched off one by one.
@@ -14,10 +14,10 @@ import pytest
 from effect_scenes import PAIRS, bright_room, open_field
 from planned_effects import everything_on, plan_light_transport
 
+from addon_tests.agreement import agreement
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.light_transport import cycles_settings, required_effects
-from xihenet.agreement import agreement
 from xihenet.effects import plan_effects
 
 N_SEEDS = 16

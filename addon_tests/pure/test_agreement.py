@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xihenet.agreement import agreement
+from addon_tests.agreement import agreement
 
 
 def pictures(seed, mean=1.0, noise=0.5, n_seeds=16, shape=(12, 16)):
