@@ -16,20 +16,20 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from xihe_blender.capture.reference_probe import MeasuredLight, open_reference_probe
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.capture.turned_camera import turned_camera
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import as_json, from_json
-from xihe_blender.io.kept_files import kept_json, read_kept
+from xihe_blender.io.json_records import as_json
+from xihe_blender.io.kept_files import read_kept
 from xihe_blender.io.look_results import LookAway, LookResults, ObjectAdvice, TrueErrors
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.captured_path import CapturedPath, capture_path, said_of_path
+from xihe_blender.previs.captured_path import CapturedPath, capture_path, measured_lights, said_of_path
 from xihe_blender.previs.kept_session import KeptSession, open_kept_session
 from xihe_blender.previs.look_pictures import write_pictures
 from xihe_blender.previs.placement import PlacementSettings, find_places
 from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.results import as_rgb
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.look import write_look_report
 from xihe_blender.scene.state import scene_kept
@@ -184,11 +184,11 @@ def find_looks(session: KeptSession, objects: Targets, settings: LookSettings) -
     return found
 
 
-def looks_of_run(folder: Path, objects: Targets, settings: LookSettings | None = None) -> Job[list[ObjectAdvice]]:
+def looks_of_run(folder: Path, objects: Targets) -> Job[list[ObjectAdvice]]:
     """A job: the advice for each object from the frames that the run in `folder` keeps; errors as there."""
     session = yield from open_kept_session(folder)
     check_sees_whole_path(session.settings)
-    found = yield from find_looks(session, objects, settings or LookSettings())
+    found = yield from find_looks(session, objects, LookSettings())
     return [one.advice for one in found]
 
 
@@ -200,7 +200,7 @@ def _advice(
     after = [one.with_shown(shown, place) for one, shown, place in parts] if best.is_worth_it else before
     return ObjectAdvice(
         name=name,
-        positions_m=tuple(_triple(place) for place in target.positions_m),
+        positions_m=tuple(as_rgb(place) for place in target.positions_m),
         coverage=float(np.mean([coverage(cloud) for cloud in before])),
         expected_error=_expected_error(estimator, before),
         look=look_away(best.look, settings) if best.is_worth_it else None,
@@ -229,13 +229,9 @@ def look_away(look: Look, settings: LookSettings) -> LookAway:
         turn_deg=look.turn_deg,
         hold_s=settings.hold_s,
         whole_s=settings.hold_s + 2 * look.turn_s(settings),
-        place_m=_triple(look.end[:3, 3]),
-        direction=_triple(-look.end[:3, 2]),
+        place_m=as_rgb(look.end[:3, 3]),
+        direction=as_rgb(-look.end[:3, 2]),
     )
-
-
-def _triple(values: ArrayF64) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 # --------------------------------------------------------------------------------------------------------- verification
@@ -299,18 +295,6 @@ def render_looks(
 
 def _true_lights(captured: CapturedPath, found: Sequence[FoundLook]) -> Job[list[list[ArrayF64]]]:
     """(9, 3) of a light probe at each position of each object, in the last frame; probes are kept."""
-    run, read = captured.run, functools.partial(from_json, MeasuredLight)
-    frame, target = run.plan.frames[-1], run.settings.target
-    places_m = [place for one in found for place in one.target.positions_m]
-    lights = []
-    with open_reference_probe(run.scene, places_m, run.reference) as probe:
-        for index, place_m in enumerate(places_m):
-            yield Progress(index, len(places_m), f"rendering light probe {index + 1} of {len(places_m)}")
-            path = run.outputs.reference(0, "-".join(f"{c:.3f}" for c in place_m), frame)
-            light = kept_json(path, read)
-            if light is None:
-                light = probe.light_at(index, frame, run.exposure).measured
-                write_json(path, as_json(light))
-            lights.append(light.of(target))
+    lights = yield from measured_lights(captured.run, [place for one in found for place in one.target.positions_m])
     counts = np.cumsum([0, *(len(one.target.positions_m) for one in found)])
     return [lights[a:b] for a, b in itertools.pairwise(counts)]

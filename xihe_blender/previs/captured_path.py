@@ -6,19 +6,25 @@ folder and taken up again there, for the same scene and settings, whatever is as
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
+from numpy.typing import ArrayLike
 
+from xihe_blender.capture.reference_probe import MeasuredLight, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import sized_for
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import Parameters
-from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.json_records import Parameters, as_json, from_json
+from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.io.provenance import machine, software
-from xihe_blender.jobs import Job
+from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.kept_session import KeptSession, kept_session
 from xihe_blender.previs.plan import (
     DEFAULT_SIZE,
@@ -31,6 +37,7 @@ from xihe_blender.previs.plan import (
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihenet.records import ArrayF64
 
 SAMPLES = {"draft": 4, "balanced": 16, "accurate": 64}
 """Per pixel of a capture, by preset: there is no position yet that a pilot could measure the noise at."""
@@ -91,3 +98,20 @@ def capture_path(
     yield from walk_path(run, keeps_session=True)
     session = yield from kept_session(outputs, run.settings, run.exposure, sorted(run.needs.captured))
     return CapturedPath(run, session)
+
+
+def measured_lights(run: PreparedRun, positions_m: Sequence[ArrayLike]) -> Job[list[ArrayF64]]:
+    """A job: (9, 3) of a light probe at each of the positions (3,) in the last frame; probes are kept."""
+    frame, read, lights = run.plan.frames[-1], functools.partial(from_json, MeasuredLight), []
+    places_m = [np.asarray(position_m, np.float64) for position_m in positions_m]
+    with open_reference_probe(run.scene, places_m, run.reference) as probe:
+        for index, place_m in enumerate(places_m):
+            doing = f"rendering light probe {index + 1} of {len(places_m)}"
+            yield Progress(index, len(places_m), doing, {"light probes": len(places_m) - index})
+            path = run.outputs.reference(0, "-".join(f"{c:.3f}" for c in place_m), frame)
+            light = kept_json(path, read)
+            if light is None:
+                light = probe.light_at(index, frame, run.exposure).measured
+                write_json(path, as_json(light))
+            lights.append(light.of(run.settings.target))
+    return lights

@@ -16,18 +16,17 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.reference_probe import MeasuredLight, open_reference_probe
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import as_json, from_json
-from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified, best_first
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.captured_path import capture_path, said_of_path
+from xihe_blender.previs.captured_path import capture_path, measured_lights, said_of_path
 from xihe_blender.previs.kept_session import KeptSession
 from xihe_blender.previs.placement_pictures import write_pictures
 from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.results import as_rgb
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.report.placement import write_placement_report
 from xihe_blender.scene.state import scene_kept
@@ -194,15 +193,11 @@ def _place(position_m: ArrayF64, light: FoundLight, exposure: float) -> Place:
     last = next(reversed(light.sh))
     error = light.expected_error[last]
     return Place(
-        position_m=_triple(position_m),
+        position_m=as_rgb(position_m),
         coverage=light.coverage[last] if light.was_in_view else 0.0,
         expected_error=error,
-        irradiance=_triple(irradiance(light.sh[last], UP)[0] / exposure) if error is not None else None,
+        irradiance=as_rgb(irradiance(light.sh[last], UP)[0] / exposure) if error is not None else None,
     )
-
-
-def _triple(values: ArrayF64) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 # --------------------------------------------------------------------------------------------------------- verification
@@ -237,17 +232,5 @@ def _verdict(expected: ArrayF64, true: ArrayF64, rng: np.random.Generator) -> Ve
 
 def _true_errors(run: PreparedRun, places: Sequence[tuple[Place, ArrayF64]]) -> Job[list[float]]:
     """SHC RMSE of each light against a light probe rendered there in the last frame; probes are kept."""
-    frame, errors, read = run.plan.frames[-1], [], functools.partial(from_json, MeasuredLight)
-    positions_m = [place.position_m for place, _ in places]
-    with open_reference_probe(run.scene, positions_m, run.reference) as probe:
-        for index, (place, sh) in enumerate(places):
-            n_left = len(places) - index
-            doing = f"rendering the light probe of place {index + 1} of {len(places)}"
-            yield Progress(index, len(places), doing, {"light probes": n_left})
-            path = run.outputs.reference(index, "-".join(f"{c:.3f}" for c in place.position_m), frame)
-            light = kept_json(path, read)
-            if light is None:
-                light = probe.light_at(index, frame, run.exposure).measured
-                write_json(path, as_json(light))
-            errors.append(shc_rmse(sh, light.of(run.settings.target)))
-    return errors
+    truths = yield from measured_lights(run, [place.position_m for place, _ in places])
+    return [shc_rmse(sh, truth) for (_, sh), truth in zip(places, truths, strict=True)]
