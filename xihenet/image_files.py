@@ -32,13 +32,12 @@ NONE_IN_16_BITS = 65535
 ORIENTATION_TAG = 0x0112
 
 
-def read_plane_depth(path: Path, depth_scale: float, content: bytes | None = None) -> tuple[ArrayF32, tuple[int, int]]:
+def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[int, int]]:
     """Plane depth (H, W) of a grey image of 16 or 32 bits, and the width and height of the whole image.
 
-    0 where there is none; thinned where there are more than MOST_POINTS. `content` as of `_loading`, which says what is
-    raised.
+    0 where there is none; thinned where there are more than MOST_POINTS. Raises what `_loading` says.
     """
-    with _loading(path, content) as image:
+    with _loading(path) as image:
         if not image.mode.startswith("I"):
             raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
     rows, columns = picked_pixels(image.height, image.width, MOST_POINTS)
@@ -93,9 +92,9 @@ def _check_field(path: Path, size: tuple[int, int], beside: Path, field: tuple[i
         )
 
 
-def read_grey(path: Path, content: bytes | None = None) -> ArrayU8:
-    """(H, W) of a grey image of 8 bits. `content` as of `_loading`, which says what is raised."""
-    with _loading(path, content) as image:
+def read_grey(path: Path) -> ArrayU8:
+    """(H, W) of a grey image of 8 bits. Raises what `_loading` says."""
+    with _loading(path) as image:
         if image.mode != "L":
             raise ValueError(f"{path}: expected a grey image of 8 bits, got pixels of mode {image.mode}")
     return np.asarray(image)

@@ -17,7 +17,6 @@ from xihe_blender.apply.reflection_pictures import (
     has_sun_for_lamp,
     reflect_in_world,
     reflect_on_timeline,
-    reflects,
 )
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, f_curves, key_light_changes, make_sh_world, world_name
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
@@ -140,7 +139,7 @@ def test_a_new_picture_takes_the_place_of_the_old_one():
     forget_reflections(scene.world)
     assert not [image for image in bpy.data.images if image.name.startswith(PICTURE)]
     assert at(rendered(scene, (SIDE, SIDE), 16), 0.5, 0.5) == pytest.approx([0.2] * 3, abs=0.01)
-    assert not reflects(scene.world) and len(scene.world.node_tree.nodes) == 3
+    assert PICTURE not in scene.world.node_tree.nodes and len(scene.world.node_tree.nodes) == 3
 
 
 def test_pictures_take_turns_on_the_timeline(tmp_path):

@@ -92,11 +92,6 @@ def forget_reflections(world: bpy.types.World) -> None:
     world.cycles.sampling_method = "MANUAL"
 
 
-def reflects(world: bpy.types.World) -> bool:
-    """Whether glossy rays see a picture."""
-    return _picture(world) is not None
-
-
 def _picture(world: bpy.types.World) -> bpy.types.Node | None:
     return world.node_tree.nodes.get(PICTURE)
 

@@ -62,9 +62,7 @@ class MirrorSphere:
 
 
 @contextlib.contextmanager
-def open_mirror_sphere(
-    scene: bpy.types.Scene, settings: RenderSettings, radius_m: float = RADIUS_M
-) -> Iterator[MirrorSphere]:
+def open_mirror_sphere(scene: bpy.types.Scene, settings: RenderSettings) -> Iterator[MirrorSphere]:
     """A mirror sphere in the room of `scene`, virtual objects left out, seen in a picture `FINER` than `settings`."""
     width, height = (round(FINER * side) for side in settings.size)
     with (
@@ -72,11 +70,11 @@ def open_mirror_sphere(
         contextlib.ExitStack() as stack,
     ):
         leave_out_virtual_objects(working, scene)
-        mesh = sphere_mesh(NAME, radius_m / metres_per_unit(scene), 128, 64)
+        mesh = sphere_mesh(NAME, RADIUS_M / metres_per_unit(scene), 128, 64)
         stack.callback(bpy.data.meshes.remove, mesh)
         material = rig_material(NAME, RIG_LOOKS[MIRROR])
         stack.callback(bpy.data.materials.remove, material)
         mesh.materials.append(material)
         ball = bpy.data.objects.new(NAME, mesh)
         working.collection.objects.link(ball)
-        yield MirrorSphere(working, ball, radius_m)
+        yield MirrorSphere(working, ball, RADIUS_M)

@@ -58,7 +58,6 @@ def open_three_spheres(
     scene: bpy.types.Scene,
     settings: RenderSettings,
     size: int = 128,
-    radius_m: float = RADIUS_M,
     looks: Mapping[str, Mapping[str, Any]] = RIG_LOOKS,
 ) -> Iterator[ThreeSpheres]:
     """Three spheres, one at a time, in the room of `scene`, virtual objects left out, `size` pixels wide each.
@@ -71,7 +70,7 @@ def open_three_spheres(
     ):
         leave_out_virtual_objects(working, scene)
         working.timeline_markers.clear()  # Those that switch the camera would take this one's place.
-        radius = radius_m / metres_per_unit(scene)
+        radius = RADIUS_M / metres_per_unit(scene)
         mesh = sphere_mesh(NAME, radius, 128, 64)
         stack.callback(bpy.data.meshes.remove, mesh)
         materials = []
@@ -88,4 +87,4 @@ def open_three_spheres(
         for item in (ball, camera):
             working.collection.objects.link(item)
         working.camera = camera
-        yield ThreeSpheres(working, ball, materials, radius_m)
+        yield ThreeSpheres(working, ball, materials, RADIUS_M)

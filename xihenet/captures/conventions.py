@@ -120,12 +120,7 @@ def _sentence(poses: str, depth: str, share: float, share_as_read: float, axes: 
     return f"{claims}: {fix} {share:.0%} of the surfaces seen twice, as read {share_as_read:.0%}.".replace("%", " %")
 
 
-def fits(
-    frames: Iterable[RgbdFrame], *, blender_from_file: ArrayF64 | None = None, is_opencv: bool = False
-) -> Mapping[tuple[str, str], Fit]:
-    """How well a recording fits itself under each convention of POSES with each of DEPTHS; for `suspect` and people.
-
-    Parameters as of `suspect`.
-    """
-    recording = Recording(frames, blender_from_file, is_opencv)
+def fits(frames: Iterable[RgbdFrame]) -> Mapping[tuple[str, str], Fit]:
+    """How well a recording fits itself under each convention of POSES with each of DEPTHS; for people."""
+    recording = Recording(frames, None, False)
     return {(poses, depth): recording.fit(poses, depth) for poses in POSES for depth in DEPTHS}

@@ -104,11 +104,6 @@ class DriftFollower:
         self._pairs: list[Pair] = []
         self._reference: int | None = None
 
-    @property
-    def n_keyframes(self) -> int:
-        """That are kept now."""
-        return len(self._keyframes)
-
     def add(self, frame: RgbdFrame) -> None:
         """The next frame, of any size; ValueError for a pose that cannot be inverted."""
         index = len(self._frames)

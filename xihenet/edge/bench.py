@@ -12,7 +12,6 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -31,47 +30,40 @@ BATCHES, SIZES, POSITIONS = (1, 2, 4, 8, 16), (512, 1280, 2048), (1, 2, 4)
 PAPER_MS = {512: (0.23, 0.01, 3.99), 1280: (0.30, 0.01, 5.91), 2048: (0.32, 0.01, 10.80)}
 """Decode, merge and inference on an RTX 2080Ti; no estimate of it is faster than 250 a second."""
 
+REPEATS, FRAMES = 30, 40
+
 STAGES = ("unproject", "sample", "merge", "trigger", "encode", "estimate")
 HALF_ROOM_M, PICTURE = np.array([2.0, 1.5, 1.2]), Intrinsics(256, 192, 150.0, 150.0, 128.0, 96.0)
 
 
-@dataclass(frozen=True)
-class BenchSettings:
-    """How long it takes."""
-
-    repeats: int = 30
-    frames: int = 40
-
-
-def bench_lines(inference: Inference, settings: BenchSettings | None = None) -> Iterator[str]:
+def bench_lines(inference: Inference) -> Iterator[str]:
     """The tables as Markdown, line by line as they are measured."""
-    how = settings or BenchSettings()
     rng = np.random.default_rng(0)
-    yield f"Estimator {inference.name}, LDR; medians of {how.repeats} repeats."
+    yield f"Estimator {inference.name}, LDR; medians of {REPEATS} repeats."
     yield ""
     yield "| clouds in a batch | ms a cloud | clouds/s |"
     yield "| --- | --- | --- |"
     for size in BATCHES:
         jobs = [Job(random_cloud(rng, 1280), "ldr") for _ in range(size)]
-        ms = float(np.median(times_ms(partial(inference, jobs), how.repeats))) / size
+        ms = float(np.median(times_ms(partial(inference, jobs), REPEATS))) / size
         yield f"| {size} | {ms:.2f} | {1e3 / ms:.0f} |"
     yield ""
     yield "| anchors | decode, ms | merge, ms | inference, ms | the paper's three, ms |"
     yield "| --- | --- | --- | --- | --- |"
     for n in SIZES:
-        yield _by_anchors(inference, rng, n, how.repeats)
+        yield _by_anchors(inference, rng, n)
     yield ""
     yield f"| positions | {' | '.join(f'{stage}, ms' for stage in STAGES)} | of that network and JSON, ms | step, ms |"
     yield "| --- " * (len(STAGES) + 3) + "|"
     with served(inference) as (port, server_ms):
         for n in POSITIONS:
-            yield _step(port, server_ms, n, how.frames)
+            yield _step(port, server_ms, n)
     yield ""
     yield "The paper's whole step with one position: 20.67 ms at best, of which 8.4 ms are WiFi. Loopback is no WiFi."
 
 
-def _by_anchors(inference: Inference, rng: np.random.Generator, n: int, repeats: int) -> str:
-    timed = server_times_ms(inference, rng, n, repeats).values()
+def _by_anchors(inference: Inference, rng: np.random.Generator, n: int) -> str:
+    timed = server_times_ms(inference, rng, n, REPEATS).values()
     of_paper = " / ".join(f"{ms:.2f}" for ms in PAPER_MS[n])
     return f"| {n} | {' | '.join(f'{np.median(ms):.2f}' for ms in timed)} | {of_paper} |"
 
@@ -87,9 +79,9 @@ def server_times_ms(inference: Inference, rng: np.random.Generator, n: int, repe
     }
 
 
-def _step(port: int, server_ms: Callable[[], float], n_positions: int, n_frames: int) -> str:
+def _step(port: int, server_ms: Callable[[], float], n_positions: int) -> str:
     """A row: the stages' medians, of all positions of a frame together."""
-    steps = step_times_ms(port, server_ms, n_positions, n_frames)
+    steps = step_times_ms(port, server_ms, n_positions, FRAMES)
     medians = [float(np.median(ms)) for ms in steps.values()]
     return f"| {n_positions} | {' | '.join('-' if np.isnan(ms) else f'{ms:.2f}' for ms in medians)} |"
 
