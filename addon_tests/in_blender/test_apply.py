@@ -8,6 +8,7 @@ from renders import captured, rendered
 from shown_lights import keyed, shown_light
 from tiny_scenes import box, empty_scene, material, node_of, orthographic, room_with_a_virtual_sphere, set_world, sphere
 
+from addon_tests.pure.made import constant
 from xihe_blender.apply.datablocks import NODE_GROUP_NAME, lights_by_sh
 from xihe_blender.apply.session import XiheController
 from xihe_blender.apply.sh_worlds import (
@@ -29,13 +30,6 @@ from xihenet.light_picture import SILVER_ROUGHNESS, sphere_mask, three_spheres
 from xihenet.records import Intrinsics, RgbdFrame
 
 SIDE = 48
-
-
-def constant(radiance):
-    """(9, 3) coefficients of light that is the same from everywhere."""
-    coefficients = np.zeros((9, 3))
-    coefficients[0] = 2 * np.sqrt(np.pi) * np.asarray(radiance)
-    return coefficients
 
 
 def rendered_sphere(coefficients, exposure=1.0, samples=128):

@@ -12,7 +12,7 @@ from previs_runs import DRAFT, N_FRAMES, QuickProbes, run, walk
 from renders import pixels_of_file
 from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed, shown_light
-from tiny_scenes import material, room_with_a_virtual_sphere, saved, sphere
+from tiny_scenes import material, opened, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, has_anything, lit_scene
@@ -64,11 +64,6 @@ def test_a_virtual_object_called_as_what_stands_for_the_room_stays_when_the_scen
     assert "Xihe Lit Table" in lit.objects
     remove_lit_scene()
     assert differences(before, snapshot()) == ({}, [])
-
-
-def opened(path):
-    bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
-    return bpy.context.scene
 
 
 @pytest.fixture

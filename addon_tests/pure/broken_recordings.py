@@ -8,11 +8,11 @@ import json
 import shutil
 import struct
 import zipfile
-import zlib
 
 import numpy as np
 from PIL import Image
 
+from addon_tests.pure.frame_makers import png
 from addon_tests.pure.recordings import as_stray, walk
 from xihenet.records import Intrinsics
 
@@ -90,16 +90,6 @@ def other_units(name):
     return harm
 
 
-def png_that_says(width, height):
-    """A grey PNG of 16 bits that has no pixels, of a size that it only says."""
-
-    def chunk(kind, content):
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
-
-
 def of_pictures(colour, plane_depth, confidence=None, missing="without colour or depth left out"):
     """What may be wrong with pictures, in any format that has them as files. They are 48 pixels high, 64 wide."""
     cases = {
@@ -115,7 +105,7 @@ def of_pictures(colour, plane_depth, confidence=None, missing="without colour or
         "depth of 8 bits": (picture(plane_depth, np.ones((48, 64), np.uint8)), "a grey image of 16 bits"),
         "depth of another field": (picture(plane_depth, np.ones((64, 48), np.uint16)), "the same ratio"),
         "depth of another unit": (other_units(plane_depth), READ),
-        "depth says it is huge": (put(plane_depth, png_that_says(60_000, 60_000)), "50 megapixels"),
+        "depth says it is huge": (put(plane_depth, png(60_000, 60_000, depth=16, is_grey=True)), "50 megapixels"),
         "depth is missing": (remove(plane_depth), NOTE + missing),
     }
     if confidence:

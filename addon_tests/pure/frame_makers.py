@@ -1,6 +1,8 @@
 """Frames as files, for tests: a camera at the origin looking along +Y into a box whose walls differ in colour."""
 
 import json
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -58,3 +60,14 @@ def write_by_package(path, channels, compression):
 def write_image(path, pixels):
     Image.fromarray(pixels).save(path)
     return path
+
+
+def png(width, height, *, depth=8, is_grey=False, rows=b""):
+    """A PNG whose header says this, whatever it holds; of RGB, or grey."""
+
+    def chunk(kind, content):
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, 0 if is_grey else 2, 0, 0, 0)
+    chunks = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + chunks

@@ -1,6 +1,7 @@
 """Poses, frames and clouds that tests of many stages share; what light they need is in `sh_samples`."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
 
@@ -53,3 +54,10 @@ def random_cloud(rng, n, share=0.5):
 
 def without_surfaces(cloud):
     return UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set)
+
+
+def constant(radiance: ArrayLike) -> NDArray[np.float64]:
+    """(9, 3) coefficients of light that is the same from everywhere."""
+    coefficients = np.zeros((9, 3))
+    coefficients[0] = 2 * np.sqrt(np.pi) * np.asarray(radiance)
+    return coefficients

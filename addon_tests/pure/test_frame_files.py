@@ -4,7 +4,6 @@ import json
 import struct
 import subprocess
 import sys
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from addon_tests.pure.frame_makers import (
     NEEDS_OPENEXR,
     WIDTH,
     box_radiance_and_plane_depth,
+    png,
     write_by_package,
     write_camera,
     write_channels,
@@ -318,17 +318,6 @@ def test_without_pillow_the_extra_to_install_is_named(tmp_path):
 
 
 # ------------------------------------------------------------------------------------------------------- large pictures
-
-
-def png(width, height, *, depth=8, rows=b""):
-    """A PNG of RGB whose header says this, whatever it holds."""
-
-    def chunk(kind, content):
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-    header = struct.pack(">IIBBBBB", width, height, depth, 2, 0, 0, 0)
-    chunks = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + chunks
 
 
 def test_a_colour_image_of_16_bits_is_read_in_8(tmp_path, camera, plane_depth):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from addon_tests.pure.made import constant
 from xihenet import sh
 from xihenet.colour import linear_to_srgb
 from xihenet.light_picture import (
@@ -19,12 +20,6 @@ from xihenet.light_picture import (
 RADIANCE = np.array([0.2, 0.5, 0.8])
 MIRROR, SILVER, DIFFUSE = range(3)
 SIZE = 33  # odd, so that one pixel is the very centre
-
-
-def constant(radiance):
-    light = np.zeros((9, 3))
-    light[0] = 2 * np.sqrt(np.pi) * np.asarray(radiance)
-    return light
 
 
 def towards(*direction, strength=1.0):

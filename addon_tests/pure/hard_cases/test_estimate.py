@@ -19,6 +19,7 @@ from addon_tests.pure.hard_cases.hard_clouds import (
     cloud_of,
     estimator,
 )
+from addon_tests.pure.made import constant
 from xihenet.colour import srgb_to_linear
 from xihenet.records import UnitSphereCloud
 from xihenet.sh_basis import basis
@@ -70,10 +71,6 @@ def mean_of_set(cloud: UnitSphereCloud) -> np.ndarray:
 def every_other(n: int) -> UnitSphereCloud:
     """White in every other anchor of `n`."""
     return cloud_of(1.0, 2.0, np.arange(n) % 2 == 0, n)
-
-
-def constant(radiance: float) -> np.ndarray:
-    return np.concatenate([np.full((1, 3), radiance * WHITE_LIGHT), np.zeros((8, 3))])
 
 
 def summed(cloud: UnitSphereCloud) -> np.ndarray:
