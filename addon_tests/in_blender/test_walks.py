@@ -330,7 +330,10 @@ def test_a_scene_added_leaves_the_open_file_as_it_was(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_adds_a_scene_and_says_where(tmp_path):
+def test_the_command_adds_a_scene_and_says_where(tmp_path, monkeypatch):
+    assert (SCENE_SETTINGS.view_size, SCENE_SETTINGS.probe_size) == ((128, 96), 160)
+    small = replace(SCENE_SETTINGS, view_size=(32, 24), probe_size=48)
+    monkeypatch.setattr("xihe_blender.lab.rooms.scene.SCENE_SETTINGS", small)
     room_with_a_virtual_sphere()
     blend = saved(tmp_path / "tiny.blend")
     done = xihe_here("dataset", "scene", blend, "--out", tmp_path / "scenes", "--frames", "1:3:2")
@@ -338,8 +341,8 @@ def test_the_command_adds_a_scene_and_says_where(tmp_path):
     assert "The reference light has a noise of at most" in done.stderr
     room = load_room(room_path(tmp_path / "scenes", 0))
     assert room.kind == "tiny"
-    assert room.srgb_u8.shape == (2, 96, 128, 3)
-    assert room.balls.shape == (1, 80, 80, 3)
+    assert room.srgb_u8.shape == (2, 24, 32, 3)
+    assert room.balls.shape == (1, 24, 24, 3)
     assert (room.sh_noise > 0).all() and (room.sh_noise <= SCENE_SETTINGS.noise_target).all()
 
 

@@ -20,7 +20,8 @@ def cosine_lost(directions, anchors, given_directions, n_times=1):
     unit = given_directions.astype(np.float64)
     unit /= np.abs(unit).max(axis=1, keepdims=True)
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
-    blocks = np.array_split(unit[: len(unit) // n_times], 32)
+    of_one = unit[: len(unit) // n_times]
+    blocks = np.array_split(of_one, 1 + len(of_one) * len(directions) // 2**17)  # Which fit the cache
     best = np.concatenate([(block @ directions.T).max(axis=1) for block in blocks])
     return np.tile(best, n_times) - (unit * directions[anchors]).sum(axis=1)
 
