@@ -112,7 +112,7 @@ def collide(one: Piece, other: Piece, gap_m: float = 0.0) -> bool:
     if one.size[2] < FLAT_M or other.size[2] < FLAT_M:
         return False
     is_same_height = one.z < other.top_m - 1e-6 and other.z < one.top_m - 1e-6
-    return is_same_height and one.footprint.grown(gap_m).overlaps(other.footprint)
+    return is_same_height and one.footprint.overlaps(other.footprint, gap_m)
 
 
 def blocks_hole(piece: Piece, outline: Outline, holes: tuple[Hole, ...]) -> bool:

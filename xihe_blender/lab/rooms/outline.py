@@ -50,9 +50,14 @@ class Rect:
     def grown(self, margin: float) -> Rect:
         return Rect(self.x0 - margin, self.y0 - margin, self.x1 + margin, self.y1 + margin)
 
-    def overlaps(self, other: Rect) -> bool:
-        """Whether the two share more than an edge."""
-        return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
+    def overlaps(self, other: Rect, gap_m: float = 0.0) -> bool:
+        """Whether the two share more than an edge, or are less than `gap_m` apart along both axes."""
+        return (
+            self.x0 - gap_m < other.x1
+            and other.x0 < self.x1 + gap_m
+            and self.y0 - gap_m < other.y1
+            and other.y0 < self.y1 + gap_m
+        )
 
 
 @dataclass(frozen=True)
@@ -64,17 +69,17 @@ class Wall:
     starts_convex: bool
     ends_convex: bool
 
-    @property
+    @cached_property
     def length(self) -> float:
         return abs(self.end[0] - self.start[0]) + abs(self.end[1] - self.start[1])
 
-    @property
+    @cached_property
     def along(self) -> Point:
         """Unit vector from start to end."""
         n = self.length
         return (self.end[0] - self.start[0]) / n, (self.end[1] - self.start[1]) / n
 
-    @property
+    @cached_property
     def outward(self) -> Point:
         """Unit vector out of the room."""
         x, y = self.along
@@ -112,6 +117,10 @@ class Outline:
     def _edges(self) -> list[tuple[Point, Point]]:
         return list(zip(self.corners, self.corners[1:] + self.corners[:1], strict=True))
 
+    @cached_property
+    def _flat_edges(self) -> list[Rect]:
+        return [Rect.between(*edge) for edge in self._edges]
+
     @property
     def area(self) -> float:
         """Square metres; negative for a clockwise order."""
@@ -140,7 +149,7 @@ class Outline:
 
     def holds_rect(self, rect: Rect) -> bool:
         """Whether a rectangle lies inside as a whole: its middle does, and no wall passes through it."""
-        return self.holds(rect.centre) and not any(Rect.between(*edge).overlaps(rect) for edge in self._edges)
+        return self.holds(rect.centre) and not any(edge.overlaps(rect) for edge in self._flat_edges)
 
 
 def box_plan(width: float, length: float) -> Outline:

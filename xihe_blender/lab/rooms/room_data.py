@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 from xihe_blender.lab.rooms.outline import Outline, Point, Rect
 
@@ -65,7 +66,7 @@ class Piece:
     finishes: tuple[Finish, ...]
     seed: int
 
-    @property
+    @cached_property
     def footprint(self) -> Rect:
         """The axis-aligned rectangle that it covers on the floor."""
         c, s = abs(math.cos(math.radians(self.turn_deg))), abs(math.sin(math.radians(self.turn_deg)))
