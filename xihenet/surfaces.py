@@ -175,14 +175,14 @@ def _filled_share(points_m: ArrayF64, surface: Surface, side_m: float) -> float:
 
 def _convex_hull(flat: ArrayF64) -> list[int]:
     """Which of the points (P, 2) are the corners of their convex outline, in order (Andrew's monotone chain)."""
-    order = np.lexsort((flat[:, 1], flat[:, 0])).tolist()
+    order, points = np.lexsort((flat[:, 1], flat[:, 0])).tolist(), flat.tolist()
 
     def half(indices: list[int]) -> list[int]:
         chain: list[int] = []
         for index in indices:
             while len(chain) > 1:
-                (ax, ay), (bx, by) = flat[chain[-1]] - flat[chain[-2]], flat[index] - flat[chain[-2]]
-                if ax * by - ay * bx > 0:
+                (x, y), (ax, ay), (bx, by) = points[chain[-2]], points[chain[-1]], points[index]
+                if (ax - x) * (by - y) - (ay - y) * (bx - x) > 0:
                     break
                 chain.pop()
             chain.append(index)
