@@ -21,6 +21,13 @@ GEOMETRY |= {"corner_normals", "attributes", "loop_triangle_polygons", "color_at
 
 def snapshot():
     """{path: value} of every data-block, of the context and of the preferences."""
+    with warnings.catch_warnings():
+        # Reading everything also reads what newer versions deprecate.
+        warnings.simplefilter("ignore")
+        return _snapshot()
+
+
+def _snapshot():
     table = {}
     for kind in bpy.data.bl_rna.properties:
         if kind.type == "COLLECTION" and kind.identifier not in UI_OR_DERIVED:
@@ -60,11 +67,7 @@ class _Walk:
             self.table[f"{path}/geometry"] = hash(tuple(tuple(vertex.co) for vertex in struct.vertices))
         for rna in struct.bl_rna.properties:
             if rna.identifier not in NOT_COMPARED and not (is_mesh and rna.identifier in GEOMETRY):
-                with warnings.catch_warnings():
-                    # Reading everything also reads what newer versions deprecate.
-                    warnings.simplefilter("ignore")
-                    value = getattr(struct, rna.identifier)
-                self.value(f"{path}/{rna.identifier}", rna, value)
+                self.value(f"{path}/{rna.identifier}", rna, getattr(struct, rna.identifier))
         for key in struct.keys() if isinstance(struct, bpy.types.ID) else ():
             self.table[f"{path}/[{key}]"] = str(struct[key])
 
