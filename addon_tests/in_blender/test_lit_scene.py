@@ -16,9 +16,9 @@ from tiny_scenes import material, opened, room_with_a_virtual_sphere, saved, sph
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, has_anything, lit_scene
+from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, remove_lit_scene, set_up_lit_scene
 from xihe_blender.errors import UserError
-from xihe_blender.footage.camera import key_camera
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results

@@ -144,7 +144,7 @@ def _phone_with(
     phone.data = camera.data.copy()
     phone.name = phone.data.name = PHONE
     if frames.cameras:
-        from xihe_blender.footage.camera import key_camera
+        from xihe_blender.apply.keyed_camera import key_camera
 
         phone.data.animation_data_clear()
         key_camera(phone, frames.cameras, unit_m, is_held=True)

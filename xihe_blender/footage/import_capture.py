@@ -16,8 +16,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from xihe_blender.apply.keyed_camera import add_camera, pixel_aspect
 from xihe_blender.errors import UserError
-from xihe_blender.footage.camera import add_camera, pixel_aspect
 from xihe_blender.footage.pictures import Footage, new_footage_folder, show_behind
 from xihe_blender.footage.scan_object import add_scan, frames_to_scan
 from xihe_blender.jobs import Job, Progress
