@@ -13,7 +13,8 @@ from tiny_scenes import key, opened, sphere
 from xihe_blender.addon import live_light
 from xihe_blender.addon.panels import moved_positions
 from xihe_blender.addon.results_in_blender import apply_results
-from xihe_blender.apply.datablocks import LightOf
+from xihe_blender.apply.datablocks import LightOf, lit_scene
+from xihe_blender.apply.lit_scene import ROOM_COPY
 from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
@@ -116,6 +117,32 @@ def test_an_object_that_is_added_is_lit_and_removed_with_the_rest(scene, ran):
     assert bpy.ops.xihe.remove_light() == {"FINISHED"}
     blocks = (bpy.data.worlds, bpy.data.images, bpy.data.actions, bpy.data.node_groups)
     assert [block.name for kind in blocks for block in kind if block.name.startswith("Xihe")] == []
+
+
+def test_an_object_that_becomes_virtual_is_lit_though_nothing_moves(scene, monkeypatch):
+    monkeypatch.setattr(live_light, "_task", None)
+    monkeypatch.setattr(live_light, "_begin", lambda: None)
+    added = sphere(scene, "New", (0.3, 0.6, 1.2), 0.1, None)
+    bpy.context.view_layer.update()
+    changed = bpy.app.handlers.depsgraph_update_post
+    changed.append(live_light._scene_changed)
+    try:
+        virtual_collection(scene).objects.link(added)
+        bpy.context.view_layer.update()
+    finally:
+        changed.remove(live_light._scene_changed)
+    live_light._task.join()
+    assert live_light._task.found.keys() == {"New"}
+
+
+def test_an_object_that_was_added_is_in_the_lit_scene_at_once(scene):
+    sphere(scene, "New", (0.3, 0.6, 1.2), 0.1, None, virtual_collection(scene))
+    bpy.context.view_layer.update()
+    assert bpy.ops.xihe.show_lit() == {"FINISHED"}
+    shown = lit_scene()
+    assert shown.view_layers["Xihe New"].world_override == bpy.data.worlds["Xihe New"]
+    behind = [item for item in shown.objects if ROOM_COPY in item]
+    assert behind and all(item.hide_select for item in behind), "a click on the picture selects nothing"
 
 
 def test_an_object_that_moves_along_the_path_keeps_the_light_of_the_run(scene):

@@ -84,6 +84,9 @@ def test_the_map_of_a_run_is_that_of_the_command_line_and_costs_no_render(scene,
 def test_removing_the_light_removes_the_map(scene):
     before = snapshot()
     assert bpy.ops.xihe.map_places() == {"FINISHED"} and placement_map() is not None
+    for is_shown in (False, True):
+        scene.xihe.show_map = is_shown
+        assert placement_map().hide_viewport is not is_shown, "Blender draws the edges of its mesh"
     assert bpy.ops.xihe.remove_light() == {"FINISHED"}
     scene.xihe.property_unset("show_map")
     scene.xihe.property_unset("map_place")

@@ -8,7 +8,7 @@ import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
-from xihe_blender.addon.live_light import read_ahead
+from xihe_blender.addon.live_light import light_the_new, read_ahead
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.datablocks import ROOM
 
@@ -53,11 +53,12 @@ class XIHE_OT_show_lit(Action, bpy.types.Operator):
         from xihe_blender.addon.results_in_blender import left_out, show_lit
 
         scene, folder, active = context.scene, last_run_folder(context.scene), context.view_layer.objects.active
+        unlit = light_the_new(scene)
         lit = show_lit(scene, folder, active.name if active else "")
         if context.window is not None:
             _enter(context, lit)
             read_ahead(scene)
-        return left_out(scene, folder)
+        return left_out(scene, folder) or unlit
 
 
 class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):

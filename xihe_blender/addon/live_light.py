@@ -187,6 +187,18 @@ def read_ahead(scene: bpy.types.Scene) -> None:
         _begin()
 
 
+def light_the_new(scene: bpy.types.Scene) -> str | None:
+    """Find the light of virtual objects that have none where they are, for what shows all of them; else why not."""
+    places = misplaced(scene, bpy.context.evaluated_depsgraph_get()) if follows(scene) else {}
+    if not places:
+        return None
+    try:
+        show_found(scene, last_run_folder(scene), places, _kept.find_light(last_run_folder(scene), places))
+    except FAILURES as error:
+        return f"{', '.join(places)} has no light where it is now: {format_error(error)}"
+    return None
+
+
 def _begin() -> None:
     if not bpy.app.timers.is_registered(_look):
         bpy.app.timers.register(_look, first_interval=0.0)
@@ -196,7 +208,9 @@ def _begin() -> None:
 def _scene_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     room = room_of(scene)
     if not follows(room) or not any(
-        isinstance(update.id, bpy.types.Object) and (update.is_updated_transform or update.is_updated_geometry)
+        # Of a collection: an object that is in it now, which moves nothing.
+        isinstance(update.id, bpy.types.Object | bpy.types.Collection)
+        and (update.is_updated_transform or update.is_updated_geometry)
         for update in depsgraph.updates
     ):
         return

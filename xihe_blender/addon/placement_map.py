@@ -275,12 +275,14 @@ def shown_map(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def draw_legend(error_range: tuple[float, float]) -> None:
-    """At the lower left: what the colours mean."""
+    """At the lower left, right of the toolbar, which lies over the view: what the colours mean."""
     import gpu
     from gpu_extras.batch import batch_for_shader
 
     scale = bpy.context.preferences.system.ui_scale
-    left = bottom = MARGIN_PX * scale
+    bars = [bar for bar in bpy.context.area.regions if bar.type == "TOOLS" and bar.width > 1]
+    bottom = MARGIN_PX * scale
+    left = bottom + max([0, *(bar.x + bar.width - bpy.context.region.x for bar in bars)])
     width, high = LEGEND_PX * scale, LEGEND_HIGH_PX * scale
     steps = [left + width * k / (len(RAMP) - 1) for k in range(len(RAMP))]
     shader = gpu.shader.from_builtin("SMOOTH_COLOR")

@@ -15,6 +15,14 @@ from xihe_blender.errors import UserError
 LAST_FRAME = 1048574
 
 
+def _map_shown(settings: XiheSceneSettings, _context: bpy.types.Context) -> None:
+    """Its mesh too, whose edges Blender draws."""
+    from xihe_blender.apply.placement_map import placement_map
+
+    if (item := placement_map()) is not None:
+        item.hide_viewport = not settings.show_map
+
+
 def _override_changed(row: XiheEffectRow, context: bpy.types.Context) -> None:
     """Write the user's choice into the scene, where a run finds it; one that cannot be kept goes back to Auto."""
     from xihe_blender.light_transport.overrides import remember_overrides
@@ -252,7 +260,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="Place", description="Place of the map that is marked; -1 for none", default=-1, min=-1
     )
     show_map: bpy.props.BoolProperty(
-        name="Show Map", description="Draw the placement map over the 3D view", default=True
+        name="Show Map", description="Draw the placement map over the 3D view", default=True, update=_map_shown
     )
     show_positions: bpy.props.BoolProperty(
         name="Show Positions",

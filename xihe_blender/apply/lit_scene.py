@@ -120,7 +120,7 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
         if is_solid and item.visible_camera and not item.is_holdout and item not in objects:
             copied = item.copy()
             copied.name, copied.is_holdout = f"{LIT_SCENE} {item.name}", True
-            copied[ROOM_COPY] = True
+            copied[ROOM_COPY] = copied.hide_select = True
             copied.is_shadow_catcher &= SCAN not in item
             for ray in _RAYS:
                 setattr(copied, f"visible_{ray}", False)

@@ -93,7 +93,7 @@ NEAREST_M = 0.05
 """From a position: nearer than this its light is not more of the mixture."""
 
 REFLECTION_SAMPLES = 32
-"""Of a pixel of an object that reflects a picture, at least: rays meet the lamps in it by luck, and with the 8 of Draft
+"""Of a pixel of an object that reflects a picture, at least: rays meet the lamps in it by luck, and with 8
 their noise was up to a third of a metal sphere's error. Objects alone render so fast that 32 hardly take longer."""
 
 ERROR_AT_FULL_SCALE = 0.25
