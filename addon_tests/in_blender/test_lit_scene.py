@@ -184,6 +184,14 @@ def screen(name, camera, distance, size, strength):
     bpy.context.scene.collection.objects.link(item)
 
 
+def test_a_wider_picture_shows_the_middle_of_the_same(shown, tmp_path):
+    shown.render.resolution_x, shown.render.resolution_y = 64, 48
+    whole = rendered_picture(shown, tmp_path)
+    shown.render.resolution_y = 32
+    apart = np.abs(rendered_picture(shown, tmp_path)[1:-1] - whole[9:-9])
+    assert np.quantile(apart, 0.95) < 0.02, "all but the objects, whose noise is another"
+
+
 def test_what_stands_in_front_of_an_object_hides_it_and_does_not_light_it(ran, shown, tmp_path):
     results = read_results(ran.out)
     frame, compared = next(iter(results.compared_frames.items()))

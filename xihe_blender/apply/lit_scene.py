@@ -79,7 +79,8 @@ class CapturedFrames:
 def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     """Show the captured frames behind the objects: in the camera's view, and in what is rendered.
 
-    The picture keeps the frames' shape, and is as large along its longer side as the scene's own.
+    The picture keeps the frames' shape, and is as large along its longer side as the scene's own. One that the user
+    makes wider shows the middle of the frame.
     """
     first = frames.write_sequence()
     image = bpy.data.images.load(str(first))
@@ -156,7 +157,7 @@ def _phone_with(
     phone.data.show_background_images = True
     phone.data.background_images.clear()
     behind = phone.data.background_images.new()
-    behind.image, behind.alpha, behind.frame_method = image, 1.0, "STRETCH"
+    behind.image, behind.alpha, behind.frame_method = image, 1.0, "CROP"
     _play(behind.image_user, frames)
     return phone
 
@@ -175,9 +176,9 @@ def _compose(lit: bpy.types.Scene, image: bpy.types.Image, frames: CapturedFrame
     scale = tree.nodes.new("CompositorNodeScale")
     if "Type" in scale.inputs:
         scale.inputs["Type"].default_value = "Render Size"
-        scale.inputs["Frame Type"].default_value = "Stretch"
+        scale.inputs["Frame Type"].default_value = "Crop"
     else:
-        scale.space, scale.frame_method = "RENDER_SIZE", "STRETCH"
+        scale.space, scale.frame_method = "RENDER_SIZE", "CROP"
     tree.links.new(behind.outputs["Image"], scale.inputs["Image"])
     exposed = tree.nodes.new("CompositorNodeExposure")
     exposed.inputs["Exposure"].default_value = -math.log2(frames.exposure)
