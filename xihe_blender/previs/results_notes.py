@@ -26,6 +26,10 @@ WORTH_TELLING = 0.1
 FAINTEST = 1e-3
 """Light of less than this, at the session's exposure, is none: the first code above black is 3e-4."""
 
+NEXT_TO_NOTHING, NEARLY_ALL = 1e-2, 0.9
+"""Of white: at an exposure that the user chose, no more than the first is black, and pictures from the second on are
+white."""
+
 
 def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone) -> list[str]:
     return [
@@ -33,10 +37,10 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
         *backend_notes(run),
         *light_notes(run.settings, run.plan.objects),
         *shadow_notes(frames),
-        *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
-        *dim_notes(run.scene, run.exposure),
+        *faults_seen(run.survey.faults, frames, math.prod(run.plan.size), is_chosen=run.settings.exposure is not None),
+        *dim_notes(run.scene, run.settings, run.exposure, frames),
         *phone.notes(),
-        *exposure_notes(run.settings, run.exposure),
+        *exposure_notes(run.settings, run.exposure, frames),
         *noise_notes(run.settings, run.sample_count, frames),
         *white_notes(frames),
         *small_notes(frames),
@@ -46,9 +50,9 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
 def warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
     """Those of `notes` that ask the reader to check or change something."""
     return [
-        *faults_seen(run.survey.faults, frames, math.prod(run.plan.size)),
-        *dim_notes(run.scene, run.exposure),
-        *exposure_notes(run.settings, run.exposure),
+        *faults_seen(run.survey.faults, frames, math.prod(run.plan.size), is_chosen=run.settings.exposure is not None),
+        *dim_notes(run.scene, run.settings, run.exposure, frames),
+        *exposure_notes(run.settings, run.exposure, frames),
         *small_notes(frames),
     ]
 
@@ -183,15 +187,21 @@ def unknown_light_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
         yield f"The light at {name} could not be known in {frames_where}, because {why}: {instead}."
 
 
-def faults_seen(faults: Sequence[Fault], frames: Sequence[FrameResult], n_pixels: int) -> Iterator[str]:
-    """What is wrong with the scene: as the survey found it, and as frames of `n_pixels` that are dark or empty show."""
+def faults_seen(
+    faults: Sequence[Fault], frames: Sequence[FrameResult], n_pixels: int, *, is_chosen: bool
+) -> Iterator[str]:
+    """What is wrong with the scene: as the survey found it, and as frames of `n_pixels` that are dark or empty show.
+
+    An exposure that the user chose, `is_chosen`, and that leaves only black says nothing of the scene's lamps.
+    """
+    judged = [] if is_chosen and _is_black(frames) else [entry for entry in frames if entry.active]
     active = [entry for entry in frames if entry.active]
     blind = [e for e in active if e.n_invalid_pixels - sum(e.n_lost_pixels.values()) == n_pixels]
-    unlit = [e for e in active if e not in blind and not _is_lit(e) and any(map(_is_probe_lit, e.probes))]
-    dark = {p.name: None for e in active if _is_lit(e) for p in e.probes if not _is_probe_lit(p)}
+    unlit = [e for e in judged if e not in blind and not _is_lit(e) and any(map(_is_probe_lit, e.probes))]
+    dark = {p.name: None for e in judged if _is_lit(e) for p in e.probes if not _is_probe_lit(p)}
     unseen = [e for e in frames if e.compared and all(m.rmse is None for m in e.compared.comparison.values())]
     yield from (fault.said for fault in faults)
-    if active and not any(_is_lit(e) or any(map(_is_probe_lit, e.probes)) for e in active):
+    if judged and not any(_is_lit(e) or any(map(_is_probe_lit, e.probes)) for e in judged):
         yield "Neither the phone nor a light probe saw any light: is every lamp off, or hidden in renders?"
     for name in dark:
         yield f"The light probe of {name!r} saw no light where the phone did: is it inside an object?"
@@ -205,29 +215,69 @@ def faults_seen(faults: Sequence[Fault], frames: Sequence[FrameResult], n_pixels
             yield f"{which} {words}"
 
 
-def dim_notes(scene: bpy.types.Scene, exposure: float) -> Iterator[str]:
-    """A sentence where lamps that light the picture up to white are below the light that Cycles samples at all."""
-    threshold = scene.cycles.light_sampling_threshold
-    if threshold * exposure >= 1:
+def dim_notes(
+    scene: bpy.types.Scene, settings: PrevisSettings, exposure: float, frames: Sequence[FrameResult]
+) -> Iterator[str]:
+    """A sentence where lamps that light the picture up to white are below the light that Cycles samples at all.
+
+    An exposure that the user chose says nothing of that; the mean light around the objects is white then.
+    """
+    threshold, white = scene.cycles.light_sampling_threshold, 1 / exposure
+    if settings.exposure is not None:
+        around = (_mean_around(probe, settings.target) for entry in frames for probe in entry.probes)
+        white = max(around, default=0.0) / exposure
+    if 0 < white <= threshold:
         yield (
             f"The scene is so dim that lamps fall below Cycles' light threshold of {threshold:.2g} and are sampled "
             "only at random: set Render > Sampling > Lights > Light Threshold to 0, or make the lamps brighter."
         )
 
 
+def _mean_around(probe: ProbeResult, target: str) -> float:
+    """The mean light around a light probe, at the session's exposure and not clipped; 0 without one."""
+    if probe.sh_truth is None:
+        return 0.0
+    unclipped = 1.0 - (probe.share_above_white or 0.0) if target == "ldr" else 1.0
+    return math.fsum(probe.sh_truth[0]) / 3 / math.sqrt(4 * math.pi) / max(unclipped, 1e-9)
+
+
+def _light(entry: FrameResult) -> float:
+    """Of a frame, the brightest channel, at its exposure."""
+    return max((channel * (entry.exposure or 0) for channel in entry.ambient_radiance or ()), default=0.0)
+
+
+def _probe_light(probe: ProbeResult) -> float:
+    """The same of a light probe."""
+    return max((abs(channel) for coefficient in probe.sh_truth or () for channel in coefficient), default=0.0)
+
+
 def _is_lit(entry: FrameResult) -> bool:
-    return any(channel * (entry.exposure or 0) > FAINTEST for channel in entry.ambient_radiance or ())
+    return _light(entry) > FAINTEST
 
 
 def _is_probe_lit(probe: ProbeResult) -> bool:
-    return any(abs(channel) > FAINTEST for coefficient in probe.sh_truth or () for channel in coefficient)
+    return _probe_light(probe) > FAINTEST
 
 
-def exposure_notes(settings: PrevisSettings, exposure: float) -> Iterator[str]:
-    """A sentence where the room gave no light to meter."""
-    # No light to meter comes out as exactly 1, and light does not.
-    if settings.exposure is None and exposure == 1.0:
-        yield "The path shows no light to meter the exposure by, so the exposure is 1. Set another with --exposure."
+def _is_black(frames: Sequence[FrameResult]) -> bool:
+    """Whether there is light, but next to none at the session's exposure."""
+    lights = (light for entry in frames for light in (_light(entry), *map(_probe_light, entry.probes)))
+    return 0 < max(lights, default=0.0) <= NEXT_TO_NOTHING
+
+
+def exposure_notes(settings: PrevisSettings, exposure: float, frames: Sequence[FrameResult]) -> Iterator[str]:
+    """A sentence where the room gave no light to meter, or where a chosen exposure leaves only black or white."""
+    if settings.exposure is None:
+        # No light to meter comes out as exactly 1, and light does not.
+        if exposure == 1.0:
+            yield "The path shows no light to meter the exposure by, so the exposure is 1. Set another with --exposure."
+        return
+    seen = [_light(entry) for entry in frames if entry.captured]
+    chosen = f"At the chosen exposure of {exposure:g}"
+    if _is_black(frames):
+        yield f"{chosen} the phone saw next to nothing: choose a higher one, or leave it out."
+    elif seen and min(seen) >= NEARLY_ALL:
+        yield f"{chosen} the captures are white: choose a lower one, or leave it out."
 
 
 def small_notes(frames: Sequence[FrameResult]) -> Iterator[str]:

@@ -1,0 +1,52 @@
+"""What notes say of a scene that was seen at an exposure which the user chose."""
+
+import math
+
+import bpy
+import numpy as np
+import pytest
+
+from addon_tests.pure import runs
+from xihe_blender.io.json_records import from_json
+from xihe_blender.io.run_results import FrameResult
+from xihe_blender.previs.results_notes import dim_notes, exposure_notes, faults_seen
+from xihe_blender.previs.settings import PrevisSettings
+
+
+def said(exposure, radiance, around=None, *, is_chosen=True, target="hdr"):
+    """All that is said of the light of a room of one even radiance; `around` is that at the object."""
+    mean = (radiance if around is None else around) * exposure
+    clipped = min(mean, 1.0)
+    truth = [[math.sqrt(4 * math.pi) * (mean if target == "hdr" else clipped)] * 3] + [[0.0] * 3] * 8
+    probe = runs.probe(sh_truth=truth, share_above_white=None if mean == 0 else 1 - clipped / mean)
+    # As the sensor has it: of an 8-bit picture, clipped at white.
+    sensed = np.floor(min(radiance * exposure, 1.0) / 3e-4) * 3e-4 / exposure
+    seen = runs.frame(1, probe, captured=True, exposure=exposure, ambient_radiance=[sensed] * 3)
+    frames = [from_json(FrameResult, seen)]
+    settings = PrevisSettings(exposure=exposure if is_chosen else None, target=target)
+    return [
+        *faults_seen((), frames, 100, is_chosen=is_chosen),
+        *dim_notes(bpy.context.scene, settings, exposure, frames),
+        *exposure_notes(settings, exposure, frames),
+    ]
+
+
+@pytest.mark.parametrize("target", ["hdr", "ldr"])
+def test_a_room_is_judged_by_its_light_and_not_by_the_exposure_that_was_chosen(target):
+    assert said(1.7, 0.4, target=target) == []
+    for exposure in (1e-5, 1e-3, 5e-3):
+        (black,) = said(exposure, 0.4, target=target)
+        assert black.startswith(f"At the chosen exposure of {exposure:g} the phone saw next to nothing")
+    assert said(1e-2, 0.4, target=target) == []
+    (white,) = said(200.0, 0.4, target=target)
+    assert white.startswith("At the chosen exposure of 200 the captures are white")
+
+
+@pytest.mark.parametrize("is_chosen", [True, False])
+def test_a_dim_or_dark_room_and_a_buried_object_are_named_at_any_exposure(is_chosen):
+    (dim,) = said(500.0, 1e-3, is_chosen=is_chosen)
+    assert "light threshold of 0.01" in dim
+    (dark,) = said(2.0, 0.0, is_chosen=is_chosen)
+    assert dark.startswith("Neither the phone nor a light probe saw any light")
+    (buried,) = said(2.0, 0.4, 0.0, is_chosen=is_chosen)
+    assert "is it inside an object?" in buried
