@@ -19,7 +19,16 @@ from xihenet.light.environments import (
     laid_out_as_ours,
     rgbe_of,
 )
-from xihenet.light.exports import CUBE_FACES, SCRIPTS, NamedLight, cube_faces, export_files, scaled, turn_from_minus_z
+from xihenet.light.exports import (
+    CUBE_FACES,
+    SCRIPTS,
+    NamedLight,
+    cube_faces,
+    export_files,
+    file_names,
+    scaled,
+    turn_from_minus_z,
+)
 from xihenet.light.platforms import PLATFORMS, coefficients_for, convention_of
 from xihenet.panorama import panorama_directions, project_panorama, solid_angles
 from xihenet.records import KeyLight, ObjectLight
@@ -141,8 +150,35 @@ def test_results_of_another_version_a_lost_picture_and_a_lesser_light_are_one_li
     assert not (run / "exports").exists()
 
 
-def test_objects_whose_files_would_be_one_are_refused():
-    lights = [NamedLight(name, 1, 0.0, ObjectLight(SH)) for name in ("Vase 1", "Vase-1")]
+def test_files_have_the_letters_of_all_alphabets_and_each_object_has_its_own():
+    names = [
+        "桌灯",
+        "球",
+        "Lampe ä",
+        "Lampe ö",
+        "Ko\u0308rbis größe",
+        "दीया",
+        "Vase 1",
+        "Vase-1",
+        "vase 1",
+        "/..:",
+        "\udc80",
+    ]
+    found = file_names(names)
+    assert list(found.values()) == [
+        "桌灯", "球", "Lampe_ä", "Lampe_ö", "Körbis_größe", "दीया",
+        "Vase_1", "Vase_1_2", "vase_1_3", "object", "object_2",
+    ]  # fmt: skip
+    long = file_names(["球" * 80 + end for end in "ab"])
+    assert [len(name.encode()) for name in long.values()] == [60, 62]
+    files = export_files([NamedLight(name, 1, 0.0, ObjectLight(SH)) for name in names[:8]], "usd")
+    entries = json.loads(files["usd.json"])["lights"]
+    assert [entry["object"] for entry in entries] == names[:8]
+    assert len({entry["environment"] for entry in entries} & files.keys()) == 8
+
+
+def test_two_lights_of_one_object_and_frame_and_no_light_are_refused():
+    lights = [NamedLight("Vase 1", 1, 0.0, ObjectLight(SH))] * 2
     with pytest.raises(ValueError, match="rename one"):
         export_files(lights, "usd")
     with pytest.raises(ValueError, match="at least one light"):

@@ -8,9 +8,10 @@ each; Unity gets a script that reads its JSON. What glossy things reflect is a p
 from __future__ import annotations
 
 import base64
+import itertools
 import json
 import math
-import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -40,6 +41,9 @@ TAKE_PICTURES: Mapping[str, Layout] = {"model-viewer": "+X", "playcanvas": "-Y",
 SCRIPTS = {"unity": "XiheLight.cs", "webxr": "webxr_replay.js"}
 """What reads the JSON there."""
 
+NAME_BYTES = 60
+"""Of a file's name for the object, which engines and file systems all take."""
+
 CUBE_SIDE = 32
 # Of a cube map, in its order, Y up: the direction of the middle, of the right edge and of the upper one.
 CUBE_FACES = (
@@ -65,11 +69,6 @@ class NamedLight:
     light: ObjectLight
     panorama: ArrayF64 | None = None
 
-    @property
-    def stem(self) -> str:
-        """Of its files: letters and digits of the object's name, and the frame."""
-        return f"{re.sub(r'[^A-Za-z0-9]+', '_', self.object_name).strip('_') or 'object'}_{self.frame:04d}"
-
 
 def scaled(light: ObjectLight, gain: float) -> ObjectLight:
     """The light `gain` times as bright."""
@@ -89,11 +88,12 @@ def export_files(
 ) -> dict[str, bytes]:
     """The files for `platform`, by name; `units` says in words what radiance 1 is.
 
-    ValueError for an unknown platform or reading, for no light, and for two lights whose files would have one name.
+    ValueError for an unknown platform or reading, for no light, and for two lights of one object at one frame.
     """
     if not lights:
         raise ValueError("export_files: expected at least one light")
-    stems = [one.stem for one in lights]
+    names = file_names([one.object_name for one in lights])
+    stems = [f"{names[one.object_name]}_{one.frame:04d}" for one in lights]
     if twice := [stem for stem in stems if stems.count(stem) > 1]:
         raise ValueError(f"two lights would be written to files named {twice[0]!r}: rename one of the objects")
     known = PLATFORMS.get(platform)
@@ -102,8 +102,8 @@ def export_files(
         convention_of(platform, reading)
     files: dict[str, bytes] = {}
     entries = []
-    for one in lights:
-        entry, of_one = _entry(one, platform, convention)
+    for one, stem in zip(lights, stems, strict=True):
+        entry, of_one = _entry(one, stem, platform, convention)
         entries.append(entry)
         files |= of_one
     files[f"{platform}.json"] = _json(
@@ -121,6 +121,24 @@ def export_files(
     return files
 
 
+def file_names(object_names: Sequence[str]) -> dict[str, str]:
+    """What files of each object are named by: letters, of all alphabets, and digits of its name, and no two alike.
+
+    Objects whose names differ in nothing else are numbered. Upper and lower case count as alike, as file systems do.
+    """
+    names: dict[str, str] = {}
+    taken: set[str] = set()
+    for object_name in dict.fromkeys(object_names):
+        whole = unicodedata.normalize("NFC", object_name)
+        # Marks are the vowels of many alphabets.
+        kept = (one if one.isalnum() or unicodedata.category(one).startswith("M") else " " for one in whole)
+        cut = "_".join("".join(kept).split()).encode()[:NAME_BYTES].decode(errors="ignore").rstrip("_") or "object"
+        numbered = itertools.chain([cut], (f"{cut}_{number}" for number in itertools.count(2)))
+        names[object_name] = next(name for name in numbered if name.casefold() not in taken)
+        taken.add(names[object_name].casefold())
+    return names
+
+
 def _facts(platform: str, convention: Convention, reading: str | None) -> dict[str, Any]:
     of_main = {"direction": convention.direction, "intensity": convention.main_unit}
     facts: dict[str, Any] = {"axes": convention.axes_in_words, "mainLight": of_main}
@@ -131,8 +149,10 @@ def _facts(platform: str, convention: Convention, reading: str | None) -> dict[s
     return facts
 
 
-def _entry(one: NamedLight, platform: str, convention: Convention | None) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """What the JSON says of a light, and the files beside it."""
+def _entry(
+    one: NamedLight, stem: str, platform: str, convention: Convention | None
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """What the JSON says of a light, and the files beside it, whose names begin with `stem`."""
     known, files = PLATFORMS[platform], dict[str, bytes]()
     entry: dict[str, Any] = {"object": one.object_name, "frame": one.frame, "time_s": one.time_s}
     main = None
@@ -140,7 +160,7 @@ def _entry(one: NamedLight, platform: str, convention: Convention | None) -> tup
         main = main_light_for(one.light, convention)
         entry["mainLight"] = None if main is None else _main_entry(main)
     if platform in TAKE_PICTURES:
-        entry["environment"] = f"{one.stem}.hdr"
+        entry["environment"] = f"{stem}.hdr"
         picture = environment_picture(one.light, known)
         files[entry["environment"]] = encode_hdr(laid_out(picture, TAKE_PICTURES[platform]))
     elif convention is not None:
@@ -149,13 +169,13 @@ def _entry(one: NamedLight, platform: str, convention: Convention | None) -> tup
             entry["sh_total"] = coefficients_for(one.light.sh, convention).tolist()
     reflected = reflections_picture(one.light) if one.panorama is None else one.panorama
     if reflected is not None:
-        entry["reflections"] = f"{one.stem}_reflections.hdr"
+        entry["reflections"] = f"{stem}_reflections.hdr"
         files[entry["reflections"]] = encode_hdr(laid_out(reflected, TAKE_PICTURES.get(platform, "+X")))
     if platform == "usd":
-        files[f"{one.stem}.usda"] = usd_document(entry["environment"], main).encode()
+        files[f"{stem}.usda"] = usd_document(entry["environment"], main).encode()
     if platform == "gltf":
         picture = environment_picture(one.light, known) if reflected is None else reflected
-        files[f"{one.stem}.gltf"] = _json(gltf_document(entry["sh"], main, picture))
+        files[f"{stem}.gltf"] = _json(gltf_document(entry["sh"], main, picture))
     return entry, files
 
 
