@@ -46,6 +46,12 @@ def format_reason(reason: str) -> str:
     return {**LEFT_OUT, **CLAMPED, **UNKNOWN}.get(reason, f"the phone's {reason.replace('_', ' ')}")
 
 
+def format_unanswered(lights: Counts) -> str:
+    """Of estimates whose `lights` could not be known, as a clause: ", 35 of which the edge service did not answer"."""
+    n = lights.get("no_answer", 0)
+    return f", {n:,} of which the edge service did not answer" if n else ""
+
+
 def counted(**counts: int) -> dict[str, int]:
     """Those of `counts` that are not 0."""
     return {reason: int(n) for reason, n in counts.items() if n}

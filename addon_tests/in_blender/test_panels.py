@@ -94,6 +94,18 @@ def test_the_last_run_is_read_out_of_its_results(run_folder):
     assert rows["Estimates"] == "3 in 2 frames"
 
 
+def test_the_tooltip_of_unknown_lights_says_how_many_the_server_did_not_answer(run_folder):
+    for counts, said in (({"nothing_seen": 2}, False), ({"no_answer": 2}, True)):
+        invalid = runs.SUMMARY["invalid"] | {"lights": counts}
+        content = CONTENT | {"summary": CONTENT["summary"] | {"n_unknown_lights": 2, "invalid": invalid}}
+        (run_folder / "results.json").write_text(json.dumps(content), encoding="utf-8")
+        os.utime(run_folder / "results.json", (said, said))
+        (tip,) = (
+            tip for name, _, tip in panels.result_rows(reader.last_run(str(run_folder))) if name == "Unknown Light"
+        )
+        assert ("edge service did not answer: 2 of them" in tip) == said
+
+
 def test_several_estimators_stand_in_a_table_with_the_best_picture_first(run_folder):
     metrics = dict.fromkeys(("psnr", "ssim", "si_rmse", "angular_deg"))
     several = CONTENT | {

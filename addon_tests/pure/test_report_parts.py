@@ -8,8 +8,9 @@ import pytest
 
 import xihe_blender.report.page as report
 from addon_tests.pure import runs
+from xihe_blender.cli.previs import format_summary
 from xihe_blender.io.json_records import from_json
-from xihe_blender.io.run_results import ComparedFrame, Metrics
+from xihe_blender.io.run_results import ComparedFrame, Metrics, RunResults
 from xihe_blender.report.document import SCRIPT, STYLE, document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
 from xihe_blender.report.timeline import Timeline
@@ -63,6 +64,24 @@ def test_the_sentence_tells_better_worse_and_undefined_apart(own, ambient, expec
     results = runs.results(comparison={"projection": runs.metrics(own), "ambient": runs.metrics(ambient)})
     words = re.sub("<[^>]*>", "", report.format_result(results))
     assert expected in words
+
+
+def test_estimates_that_the_server_did_not_answer_are_said_first():
+    whole = runs.content(
+        [runs.frame(1, runs.probe())],
+        settings={"estimator": "lattice", "network": None},
+        summary={
+            "n_estimates": 38,
+            "n_unknown_lights": 36,
+            "invalid": runs.SUMMARY["invalid"] | {"lights": {"no_answer": 35, "nothing_seen": 1}},
+            "rmse_against_ambient": {"lattice": 1.92},
+            "object_pixels": 1e4,
+        },
+    )
+    said = "38 estimates of the light around 1 virtual object, 35 of which the edge service did not answer."
+    assert report.format_result(from_json(RunResults, whole)).startswith(f"Over 1 frame the phone asked for {said}")
+    assert ", 38 estimates, 35 of which the edge service did not answer, the last" in format_summary(whole)
+    assert "the phone made no estimates of" in report.format_result(runs.results([runs.frame(1, runs.probe())]))
 
 
 @pytest.mark.parametrize(

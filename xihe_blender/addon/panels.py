@@ -70,7 +70,7 @@ NO_DEPTH = (
     "Pixels without a depth, such as those of windows and sky, counted once for each position. Their colour counts as "
     "light from far away, where nothing nearer is known"
 )
-UNKNOWN_LIGHT = "How often the phone had seen too little for an estimate, so that the light before it stayed"
+UNKNOWN_LIGHT = "How often the light could not be known, so that the one before it stayed"
 
 
 class StagePanel:
@@ -457,7 +457,9 @@ def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
     if summary.n_invalid_points:
         rows.append(("No Depth", f"{summary.n_invalid_points:,} points", NO_DEPTH))
     if summary.n_unknown_lights:
-        rows.append(("Unknown Light", f"{summary.n_unknown_lights} times", UNKNOWN_LIGHT))
+        n = summary.invalid.lights.get("no_answer", 0)
+        unanswered = f". Because the edge service did not answer: {n} of them" if n else ""
+        rows.append(("Unknown Light", f"{summary.n_unknown_lights} times", f"{UNKNOWN_LIGHT}{unanswered}"))
     return rows
 
 

@@ -17,6 +17,7 @@ from xihe_blender.report.plots import plots_section
 from xihe_blender.report.tables import numbers_section
 from xihe_blender.report.values import closeness, code, escape, format_closeness, rmse_of, too_small_to_judge
 from xihenet.formats import DASH, format_bytes, format_count, format_number, format_percent, format_quantity
+from xihenet.invalid import format_unanswered
 
 
 def write_report(results: RunResults, outputs: RunOutputs) -> Path:
@@ -56,11 +57,13 @@ def format_result(results: RunResults) -> str:
 def _what_was_done(results: RunResults) -> str:
     n_estimates, n_objects = results.summary.n_estimates, len(results.scene.virtual_objects)
     over = format_count(len(results.frames), "frame")
-    sentence = f"Over {over} the phone made {format_count(n_estimates, 'estimate')}"
+    unanswered = format_unanswered(results.summary.invalid.lights)
+    made = "asked for" if unanswered else "made"
+    sentence = f"Over {over} the phone {made} {format_count(n_estimates, 'estimate')}"
     if n_estimates == 0 and not results.active_frames:
         return f"{sentence}: no probe was in view."
     around = f" of the light around {format_count(n_objects, 'virtual object')}" if n_objects else ""
-    return f"{sentence}{around}."
+    return f"{sentence}{around}{unanswered}."
 
 
 def _how_close(results: RunResults) -> str:
