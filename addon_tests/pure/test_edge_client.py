@@ -19,6 +19,7 @@ from xihenet import estimators
 from xihenet.backend import InferenceBackend, LocalBackend, NoAnswer, estimate_light, estimate_lights
 from xihenet.camera import unproject_frame
 from xihenet.controller import ControllerSettings, XiheController
+from xihenet.edge import client
 from xihenet.edge.batching import Inference
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.edge.connection import EdgeRefused, Patience
@@ -251,6 +252,14 @@ def test_a_server_that_is_not_there_is_said():
         port = free.getsockname()[1]
     with pytest.raises(NoAnswer, match="does not answer: ConnectionRefusedError"):
         EdgeBackend(f"http://127.0.0.1:{port}", patience=QUICK)
+
+
+def test_a_command_says_what_to_do_where_no_server_is(monkeypatch):
+    monkeypatch.setattr(client, "OF_A_COMMAND", QUICK)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with pytest.raises(NoAnswer, match="refused: start xihe serve there, or leave --backend out"):
+        backend_at(f"http://127.0.0.1:{port}", "lattice", N, "ldr")
 
 
 def test_a_command_says_which_estimator_the_server_has(server):

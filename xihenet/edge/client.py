@@ -228,13 +228,19 @@ class EdgeBackend:
             raise TryAgain(str(refused)) from None
 
 
+OF_A_COMMAND = Patience(timeout_s=5.0, n_tries=8)
+
+
 def backend_at(url: str, estimator: str, n_anchors: int, target: Target) -> EdgeBackend:
     """The backend of a command: patient, with the bearer token of the environment.
 
     ValueError if it does not answer, or estimates with another estimator than the one that was chosen.
     """
-    patience = Patience(timeout_s=5.0, n_tries=8)
-    backend = EdgeBackend(url, n_anchors, target, patience=patience, bearer=os.environ.get(BEARER_VARIABLE, ""))
+    bearer = os.environ.get(BEARER_VARIABLE, "")
+    try:
+        backend = EdgeBackend(url, n_anchors, target, patience=OF_A_COMMAND, bearer=bearer)
+    except NoAnswer as error:
+        raise NoAnswer(f"{error}: start xihe serve there, or leave --backend out") from None
     if backend.name != estimator:
         backend.close()
         raise ValueError(f"the server at {url} estimates with {backend.name}: give --estimator {backend.name}")
