@@ -178,7 +178,9 @@ class BackgroundRun:
         if not self.has_ended:
             state = self.state
             said = "" if state is None else state.error
-            raise UserError(said or f"the run ended early: {self.outputs.console} says why")
+            code = None if self.process is None else self.process.returncode
+            ended = "the run ended early" if code is None else f"the run ended early (exit code {code})"
+            raise UserError(said or f"{ended}: Resume goes on with it. Its console is in {self.outputs.console}")
         from xihe_blender.addon.results_in_blender import apply_results
 
         scene = bpy.data.scenes.get(name)

@@ -1,0 +1,22 @@
+"""A run in a second Blender that goes away without a word."""
+
+import subprocess
+import sys
+
+import bpy
+import pytest
+
+from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
+from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
+
+
+def test_a_run_that_ended_early_says_how_to_go_on_and_where_its_console_is(tmp_path):
+    run = saved_for_run(bpy.context.scene, tmp_path, {})
+    died = subprocess.Popen([sys.executable, "-c", "raise SystemExit(7)"])
+    died.wait()
+    for process, ended in ((None, ""), (died, " (exit code 7)")):
+        with pytest.raises(UserError) as raised:
+            run_blocking(BackgroundRun(run.folder, process).follow())
+        console = run.outputs.console
+        assert str(raised.value) == f"the run ended early{ended}: Resume goes on with it. Its console is in {console}"
