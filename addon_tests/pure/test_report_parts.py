@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from html import escape
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from xihe_blender.io.json_records import from_json
 from xihe_blender.io.run_results import ComparedFrame, Metrics, RunResults
 from xihe_blender.report.document import SCRIPT, STYLE, document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
+from xihe_blender.report.tables import numbers_section
 from xihe_blender.report.timeline import Timeline
 from xihe_blender.report.values import closeness, format_closeness, too_small_to_judge
 from xihenet.formats import format_percent
@@ -64,6 +66,19 @@ def test_the_sentence_tells_better_worse_and_undefined_apart(own, ambient, expec
     results = runs.results(comparison={"projection": runs.metrics(own), "ambient": runs.metrics(ambient)})
     words = re.sub("<[^>]*>", "", report.format_result(results))
     assert expected in words
+
+
+def test_only_a_command_that_can_be_typed_can_be_copied():
+    for command, can_be in (("xihe previs a.blend --out out", True), ("Run in Blender's panel", False)):
+        page = numbers_section(runs.results(software={"command": command}))
+        assert escape(command) in page and ('id="copy"' in page) == can_be
+
+
+def test_wide_tables_show_that_they_go_on_and_break_no_word():
+    style = STYLE.read_text(encoding="utf-8")
+    assert "overflow-x: auto" in style and "no-repeat local" in style
+    assert ".comparison thead .way { white-space: nowrap; }" not in style
+    assert ".words td code { overflow-wrap: break-word; }" in style
 
 
 def test_estimates_that_the_server_did_not_answer_are_said_first():

@@ -250,6 +250,9 @@ def _notes(notes: Sequence[str]) -> str:
 def _command(command: str) -> str:
     if not command:
         return "<p>Not recorded.</p>"
+    if not command.startswith("xihe "):
+        # Where the run was started, such as Blender's panel, which is nothing to type.
+        return f"<p>{escape(command)}</p>"
     return f'<pre id="command">{escape(command)}</pre><button type="button" id="copy" hidden>Copy the command</button>'
 
 
