@@ -11,6 +11,8 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.outputs import write_json
 from xihe_blender.io.run_results import METRICS, Metrics
+from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.batch.batch import evaluate_batch
 from xihe_blender.lab.batch.grid import BatchSettings, planned_units
 from xihe_blender.lab.batch.results import (
     TRIAL_COLUMNS,
@@ -73,6 +75,31 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     (tmp_path / "out" / "batch.json").write_text(json.dumps(content))
     with pytest.raises(UserError, match="another training"):
         folder.manifest(SETTINGS).take()
+
+
+def test_a_folder_in_which_all_was_refused_is_free_for_any_batch(tmp_path):
+    folder, other = BatchFolder(tmp_path), replace(SETTINGS, size=(32, 24))
+    folder.manifest(SETTINGS).take()
+    refused = batch_results(folder, SETTINGS, (), {"room.blend (seed 0)": "has no frame 9"})
+    folder.write_tables(refused)
+    rendered = folder.path / "units" / "room_seed0" / "work" / "renders.npz"
+    rendered.parent.mkdir(parents=True)
+    rendered.touch()
+    folder.forget_what_made_nothing()
+    with pytest.raises(UserError, match="another size"):
+        folder.manifest(other).take()
+    rendered.unlink()
+    folder.forget_what_made_nothing()
+    assert not folder.manifest(other).take()
+    folder.forget_what_made_nothing()
+    assert folder.manifest(other).take()
+
+
+def test_a_batch_begins_anew_where_all_of_the_last_one_was_refused(tmp_path):
+    for settings in (SETTINGS, replace(SETTINGS, size=(32, 24))):
+        options = {"n_workers": 1, "scheduler": None, "frontier": None}
+        found, _ = run_blocking(evaluate_batch([tmp_path / "none.blend"], tmp_path / "out", settings, (0,), **options))
+        assert found.failed and found.settings == settings
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

@@ -39,6 +39,7 @@ def evaluate_batch(
     check_settings(settings, seeds)
     measured = read_frontier(frontier, folder)
     kept = BatchFolder(folder.resolve())
+    kept.forget_what_made_nothing()
     manifest = kept.manifest(settings)
     manifest.check()
     units, failed = planned_units(scenes, seeds)

@@ -228,6 +228,17 @@ class BatchFolder:
         results = (self.path / "results.json",)
         return FolderManifest(self.path, self.path / "batch.json", "a batch", as_json(content), results)
 
+    def forget_what_made_nothing(self) -> None:
+        """Free the folder for any batch if the last one has ended in it without making anything: all was refused."""
+        manifest, results = self.path / "batch.json", self.path / "results.json"
+        try:
+            is_empty = manifest.exists() and read_json(results)["units"] == []
+        except (OSError, TypeError, KeyError, ValueError):
+            return
+        if is_empty and not any(path.is_file() for path in (self.path / "units").rglob("*")):
+            results.unlink()
+            manifest.unlink()
+
     def write_tables(self, results: BatchResults) -> None:
         """And results.json. trials.csv and frames.csv hold nothing that another run would change."""
         frames = [{**vars(trial), **vars(frame)} for trial in results.trials for frame in trial.frames]
