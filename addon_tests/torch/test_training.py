@@ -377,6 +377,41 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(caches, tm
         train(quick(caches["sphere"], tmp_path / "a", epochs=2, learning_rate=1e-5))
 
 
+def train_by_command(data, out, *more):
+    common = f"--data {data} --out {out} --anchors {N} --changes 1 --merged-clouds 1 --epochs 1".split()
+    return command_line.main(["train", *common, *map(str, more)])
+
+
+def test_a_training_on_other_clouds_or_of_an_older_version_is_refused_before_anything_is_removed(
+    rooms, tmp_path, capsys
+):
+    for name, n_left_out, brighter in (("fewer", 1, 1.0), ("other", 0, 2.0)):
+        (tmp_path / name).mkdir()
+        for path in sorted(rooms.glob("*.npz"))[n_left_out:]:
+            stored = dict(np.load(path))
+            np.savez(tmp_path / name / path.name, **stored | {"sh_ldr": stored["sh_ldr"] * brighter})
+    out = tmp_path / "out"
+    assert train_by_command(rooms, out) == 0
+    there = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    capsys.readouterr()
+    cases = [
+        ("data", tmp_path / "other"), ("data", tmp_path / "fewer"), ("changes", rooms, "--changes", 2),
+        ("data, epochs", tmp_path / "other", "--epochs", 5),
+    ]  # fmt: skip
+    for differs, data, *more in cases:
+        assert train_by_command(data, out, *more) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and f"other {differs}; choose another --out" in said
+        assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == there
+    assert train_by_command(rooms, out) == 0
+    checkpoint = out / "lattice_ldr_0" / "checkpoint.pt"
+    torch.save({k: v for k, v in torch.load(checkpoint, weights_only=True).items() if k != "clouds"}, checkpoint)
+    capsys.readouterr()
+    assert train_by_command(rooms, out) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "an older xihe began" in said and "choose another --out" in said
+
+
 def test_training_stops_when_validation_no_longer_improves(caches, tmp_path):
     settings = quick(caches["sphere"], tmp_path, epochs=40, patience=2, learning_rate=0.05)
     train(settings)

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import NoReturn
 
 from xihenet.estimators.calibration import SHARES_ASKED
 from xihenet.training.calibration import calibrate_elsewhere, calibrate_network
-from xihenet.training.dataset import CacheSettings, build_cache
-from xihenet.training.loop import TrainSettings, train
+from xihenet.training.dataset import CacheSettings, Content, build_cache
+from xihenet.training.loop import TrainSettings, check_resumable, train
 from xihenet.training.networks import SAMPLING_OF, export_network
 from xihenet.training.plots import report_plots
 from xihenet.training.report import ReportSettings, make_report, report_json
@@ -152,8 +152,11 @@ def _run_export(options: argparse.Namespace) -> None:
     export_network(options.network, options.out, data=options.data, figures=figures, n_points=options.anchors)
 
 
-def _run_cache(options: argparse.Namespace) -> Path:
-    """The folder of the clouds; options for tests are missing where networks are trained."""
+def _run_cache(options: argparse.Namespace, check: Callable[[Path, Content], None] = lambda *_: None) -> Path:
+    """The folder of the clouds; options for tests are missing where networks are trained.
+
+    `check` may refuse that folder and what it will be made of before anything is made.
+    """
     test_only, all_rooms, whole_sphere, upright, points = (getattr(options, name, False) for name in TEST_SWITCHES)
     is_test = test_only or all_rooms or whole_sphere or upright
     settings = CacheSettings(
@@ -165,7 +168,7 @@ def _run_cache(options: argparse.Namespace) -> Path:
     name = [f"clouds_{settings.sampling}_{options.anchors}", *(kind for kind, is_on in kinds.items() if is_on)]
     folder: Path = options.out / "_".join(name)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    build_cache(options.data, folder, settings, _say)
+    build_cache(options.data, folder, settings, _say, lambda content: check(folder, content))
     return folder
 
 
@@ -177,8 +180,13 @@ def _run_train(options: argparse.Namespace) -> None:
     name = f"{options.estimator}_{options.target}_{options.seed}"
     out = options.out / (name if options.rooms is None else f"{name}_{options.rooms}rooms")
     same_named = {part.name: getattr(options, part.name) for part in fields(TrainSettings) if part.name in options}
-    own = {"cache": _run_cache(options), "out": out, "n_rooms": options.rooms, "options": architecture}
-    print(train(TrainSettings(**{**same_named, **own}), progress=_say))
+
+    def settings_on(cache: Path) -> TrainSettings:
+        own = {"cache": cache, "out": out, "n_rooms": options.rooms, "options": architecture}
+        return TrainSettings(**{**same_named, **own})
+
+    clouds = _run_cache(options, lambda cache, content: check_resumable(settings_on(cache), content))
+    print(train(settings_on(clouds), progress=_say))
 
 
 def _add_report_options(parser: argparse.ArgumentParser) -> None:

@@ -12,6 +12,7 @@ the network.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -39,6 +40,7 @@ from xihenet.training.rooms import (
     TrainingRoom,
     pairs_that_count,
     read_room,
+    room_digest,
     room_files,
     room_number,
     room_seed,
@@ -48,6 +50,8 @@ from xihenet.training.rooms import (
 Sampling = Literal["sphere", "uniform", "farthest"]
 SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 AnyCloud = PointCloud | UnitSphereCloud
+Content = dict[str, Any]
+"""What sampled clouds were made of: their settings and rooms, as the cache's settings.json holds them."""
 CACHE_VERSION = 9
 ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
 """(9,) -1 for the spherical harmonics that change their sign with x."""
@@ -171,11 +175,13 @@ class _Sample(NamedTuple):
 
 
 def build_cache(
-    data: Sequence[Path], out: Path, settings: CacheSettings, progress: Callable[[str], None] = lambda line: None
-) -> None:
+    data: Sequence[Path], out: Path, settings: CacheSettings, progress: Callable[[str], None] = lambda line: None,
+    check: Callable[[Content], None] = lambda content: None,
+) -> None:  # fmt: skip
     """Sample the rooms in the folders `data` into `out`/<split>/*.npy; nothing is done if that is there with the same
-    settings.
+    settings and rooms.
 
+    `check` is called with what the clouds will be made of, and may refuse it, before anything is made or removed.
     ValueError if a folder has no rooms, one is broken, or two are the same.
     """
     seeds = {path: room_seed(path) for folder in data for path in room_files(folder)}
@@ -184,6 +190,9 @@ def build_cache(
     splits: dict[Path, Split] = {path: "test" if settings.is_test_only else split_of(seeds[path]) for path in seeds}
     wanted = {"version": CACHE_VERSION, **asdict(settings), "only": list(settings.only)}
     wanted["rooms"] = sorted(map(list, seeds.values()))
+    digests = [room_digest(path) for path in sorted(seeds, key=seeds.__getitem__)]
+    wanted["rooms_digest"] = hashlib.sha256("".join(digests).encode()).hexdigest()
+    check(wanted)
     done = out / "settings.json"
     if done.exists() and json.loads(done.read_text()) == wanted:
         return
@@ -204,6 +213,13 @@ def open_split(cache: Path, split: Split) -> CloudSet:
     """The clouds of one split, memory-mapped; ValueError if the cache is not there, or of another version."""
     read_cache(cache)
     return CloudSet(*(np.load(cache / split / f"{part.name}.npy", mmap_mode="r") for part in fields(CloudSet)))
+
+
+def read_content(cache: Path) -> Content:
+    """What the clouds of a cache were made of; ValueError as of `read_cache`."""
+    read_cache(cache)
+    content: Content = json.loads((cache / "settings.json").read_text())
+    return content
 
 
 class Cache(NamedTuple):

@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,7 +32,7 @@ from xihenet.estimators.base import Target
 from xihenet.formats import format_duration
 from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 from xihenet.training import networks
-from xihenet.training.dataset import CloudSet, open_split
+from xihenet.training.dataset import CloudSet, Content, open_split, read_content
 from xihenet.training.networks import Batch
 from xihenet.training.scores import irradiance_table
 
@@ -81,7 +82,7 @@ class TrainSettings:
             raise ValueError("start_share: expected at least 0 and less than 1, and weights to begin with")
 
     def decisive(self) -> dict[str, str]:
-        """What must be the same for a stopped training to be taken up."""
+        """What must be the same for a stopped training to be taken up, beside what its clouds were made of."""
         return {name: str(value) for name, value in asdict(self).items() if name not in ("out", "cache", "device")}
 
 
@@ -104,6 +105,12 @@ class _Run:
 STATES = ("net", "average", "optimiser")
 """Parts of a checkpoint that have a state of their own."""
 
+SAID = {
+    "rooms": "data", "rooms_digest": "data", "n_anchors": "anchors", "changes_per_pair": "changes",
+    "merged_per_position": "merged-clouds", "is_logarithmic": "logarithmic-loss",
+}  # fmt: skip
+"""Options whose name is not that of the setting."""
+
 
 def train(settings: TrainSettings, *, stop_after: int | None = None, progress: Progress = lambda line: None) -> Path:
     """Train, or go on with a training that was stopped; the path of the best network's file.
@@ -116,16 +123,17 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
         if not len(split):
             raise ValueError(f"{settings.cache}: the {name} split is empty; more rooms are needed")
     settings.out.mkdir(parents=True, exist_ok=True)
-    run = _start_or_resume(settings)
+    content = read_content(settings.cache)
+    run = _start_or_resume(settings, content)
     # Always saying the training rooms' mean is off by so much on the validation rooms.
     mean = clouds.truth(settings.target).mean(axis=0, dtype=np.float64)
     yardstick = max(float(np.sqrt(np.mean((held_out.truth(settings.target) - mean) ** 2))), 1e-9)
     started, first_epoch = time.monotonic(), run.epoch
     last_epoch = settings.epochs if stop_after is None else min(settings.epochs, first_epoch + stop_after)
     while run.epoch < last_epoch and run.epoch - run.best_epoch < settings.patience:
-        loss = _train_epoch(run, clouds, settings)
+        loss = _train_epoch(run, clouds, settings, content)
         _judge(run, held_out, settings, loss, yardstick)
-        _save_checkpoint(run, settings)
+        _save_checkpoint(run, settings, content)
         elapsed_s = time.monotonic() - started
         left_s = elapsed_s / (run.epoch - first_epoch) * (settings.epochs - run.epoch)
         ratio = run.history[-1]["validation_ratio"]
@@ -134,6 +142,34 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
             f"(best in epoch {run.best_epoch})  {format_duration(left_s)} left"
         )
     return settings.out / "best.pt"
+
+
+def check_resumable(settings: TrainSettings, content: Content) -> None:
+    """ValueError if `settings.out` holds a training with other settings, or on clouds of another content.
+
+    Content that a cache would have can be asked about before that is built.
+    """
+    if (settings.out / "checkpoint.pt").exists():
+        _read_checkpoint(settings, content)
+
+
+def _read_checkpoint(settings: TrainSettings, content: Content) -> dict[str, Any]:
+    path = settings.out / "checkpoint.pt"
+    kept = networks.read_torch(path, settings.device)
+    if "clouds" not in kept:
+        raise ValueError(
+            f"{path}: a training that an older xihe began, which kept nothing of its rooms and cannot be resumed; "
+            "choose another --out or remove the folder"
+        )
+    pairs = ((kept["settings"], settings.decisive()), (kept["clouds"], content))
+    other = [name for old, new in pairs for name in old.keys() | new.keys() if old.get(name) != new.get(name)]
+    if other:
+        said = ", ".join(sorted({SAID.get(name, name.replace("_", "-")) for name in other}))
+        raise ValueError(
+            f"{path}: expected a training with the same settings, got one with other {said}; choose another --out or "
+            "remove the folder"
+        )
+    return kept
 
 
 def rows_of_first_rooms(clouds: CloudSet, n_rooms: int | None) -> ArrayInt:
@@ -186,7 +222,7 @@ def _size(light: Tensor) -> Tensor:
     return light.square().mean((1, 2)).sqrt()
 
 
-def _start_or_resume(settings: TrainSettings) -> _Run:
+def _start_or_resume(settings: TrainSettings, content: Content) -> _Run:
     torch.manual_seed(settings.seed)
     sizes = {} if settings.start is None else networks.sizes_in(settings.start, settings.estimator)
     options = {**sizes, **networks.options_for(settings.estimator, settings.target), **settings.options}
@@ -199,11 +235,8 @@ def _start_or_resume(settings: TrainSettings) -> _Run:
         fused=settings.device != "cpu",
     )  # fmt: skip
     run = _Run(net, copy.deepcopy(net), optimiser)
-    path = settings.out / "checkpoint.pt"
-    if path.exists():
-        kept = networks.read_torch(path, settings.device)
-        if kept.get("settings") != settings.decisive():
-            raise ValueError(f"{path}: expected a training with the same settings; choose another folder or remove it")
+    if (settings.out / "checkpoint.pt").exists():
+        kept = _read_checkpoint(settings, content)
         for name, part in vars(run).items():
             if name in STATES:
                 part.load_state_dict(kept[name])
@@ -212,7 +245,7 @@ def _start_or_resume(settings: TrainSettings) -> _Run:
     return run
 
 
-def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
+def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings, content: Content) -> float:
     """One pass, or what is left of it; the mean loss."""
     run.net.train()
     rng = np.random.default_rng([settings.seed, run.epoch])
@@ -239,7 +272,7 @@ def _train_epoch(run: _Run, clouds: CloudSet, settings: TrainSettings) -> float:
         run.n_batches += 1
         if time.monotonic() - kept_at >= KEEP_EVERY_S:
             kept_at = time.monotonic()
-            _save_checkpoint(run, settings)
+            _save_checkpoint(run, settings, content)
     mean_loss = run.losses / len(batches)
     run.epoch, run.n_batches, run.losses = run.epoch + 1, 0, 0.0
     return mean_loss
@@ -269,9 +302,10 @@ def _judge(run: _Run, held_out: CloudSet, settings: TrainSettings, loss: float, 
         networks.save_network(settings.out / "best.pt", trained)
 
 
-def _save_checkpoint(run: _Run, settings: TrainSettings) -> None:
+def _save_checkpoint(run: _Run, settings: TrainSettings, content: Content) -> None:
     state = {name: part.state_dict() if name in STATES else part for name, part in vars(run).items()}
-    networks.write_torch(settings.out / "checkpoint.pt", {"settings": settings.decisive(), **state})
+    deciding = {"settings": settings.decisive(), "clouds": content}
+    networks.write_torch(settings.out / "checkpoint.pt", {**deciding, **state})
     if not run.history:
         return
     # From the history and not appended to, so that a resumed training has each epoch once.

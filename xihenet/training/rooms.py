@@ -7,6 +7,7 @@ split as a whole, by a hash of its seed: more rooms leave the older ones where t
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,10 @@ Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 TRAIN_SHARE, VALIDATION_SHARE = 0.8, 0.1
 ROOMS_OF_A_SEED = 1_000_000  # That a data set has at most
+PARTS = (
+    "srgb_u8", "plane_depth_m", "world_from_camera", "intrinsics", "exposure", "positions_m", "is_in_view", "balls",
+    "sh_ldr", "sh_hdr",
+)  # fmt: skip
 TRAINING_ONLY = frozenset({"radiance"})
 """Parts of a room's file that only training uses."""
 
@@ -72,6 +77,17 @@ def room_seed(path: Path) -> tuple[int, int]:
     return tuple(_read(path, "seed")["seed"].tolist())
 
 
+def room_digest(path: Path) -> str:
+    """Tells the rooms of data sets of one seed apart, by the checksums in the file; ValueError if it is no room."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            sums = {part.filename: part.CRC for part in file.infolist()}
+        used = [(name, sums.get(f"{name}.npy")) for name in (*PARTS, *sorted(TRAINING_ONLY))]
+    except zipfile.BadZipFile as error:
+        raise ValueError(f"{path}: expected a room of a data set ({error})") from None
+    return hashlib.sha256(repr(used).encode()).hexdigest()
+
+
 def room_number(seed: tuple[int, int]) -> int:
     """One number for a room whatever its data set: that of the room itself in the data set of seed 0."""
     return seed[0] * ROOMS_OF_A_SEED + seed[1]
@@ -93,8 +109,7 @@ def pairs_that_count(path: Path, *, is_upright: bool = False) -> ArrayBool:
 
 def read_room(path: Path, *, is_upright: bool = False) -> TrainingRoom:
     """All of a room, or what an upright phone sees of it. ValueError naming the file if it is no room."""
-    names = ("srgb_u8", "plane_depth_m", "world_from_camera", "intrinsics", "exposure", "positions_m", "is_in_view")
-    stored = _read(path, *names, "balls", "sh_ldr", "sh_hdr", *TRAINING_ONLY)
+    stored = _read(path, *PARTS, *TRAINING_ONLY)
     frames, exposure, radiance = frames_of(stored, is_upright=is_upright), float(stored["exposure"]), None
     if "radiance" in stored:
         kept = stored["radiance"][:, :, _phone(stored, is_upright)[1]].astype(np.float32)
