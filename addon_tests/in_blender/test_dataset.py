@@ -284,6 +284,15 @@ def test_what_a_killed_worker_left_is_cleared_and_what_one_is_writing_is_not(tmp
     assert written.exists() and not left.exists()
 
 
+def test_a_room_that_was_cut_short_is_named(room, tmp_path):
+    path = room_path(tmp_path, 0)
+    save_room(path, room)
+    assert run_blocking(build_dataset(tmp_path, small_build(1))) == 0
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(UserError, match=r"room_000000\.npz is damaged: delete it and build again"):
+        run_blocking(build_dataset(tmp_path, small_build(1)))
+
+
 def test_a_process_that_does_not_end_when_told_to_is_killed(monkeypatch):
     monkeypatch.setattr(one_core, "ENDS_WITHIN_S", 0.3)
     deaf = "from signal import *; import time; signal(SIGTERM, SIG_IGN); print('ready', flush=True); time.sleep(99)"

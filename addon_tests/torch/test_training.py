@@ -281,6 +281,16 @@ def test_a_folder_without_rooms_and_a_file_that_is_none_are_refused(tmp_path):
         build_cache([tmp_path], tmp_path / "cache", CacheSettings())
 
 
+def test_a_damaged_room_is_named_with_what_to_do(tmp_path):
+    path = write_room(tmp_path, 0, sh_ldr=np.full((2, 9, 3), np.nan))
+    with pytest.raises(ValueError, match=r"room_000000\.npz: .*sh_ldr is not finite.*delete it and build again"):
+        build_cache([tmp_path], tmp_path / "cache", CacheSettings(N, is_test_only=True))
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(ValueError, match=r"room_000000\.npz: .*delete it and build again"):
+        build_cache([tmp_path], tmp_path / "cache", CacheSettings(N, is_test_only=True))
+    assert not (tmp_path / "cache").exists()
+
+
 def curve(folder, column):
     with (folder / "curves.csv").open() as file:
         return [float(row[column]) for row in csv.DictReader(file)]

@@ -84,7 +84,7 @@ def room_digest(path: Path) -> str:
             sums = {part.filename: part.CRC for part in file.infolist()}
         used = [(name, sums.get(f"{name}.npy")) for name in (*PARTS, *sorted(TRAINING_ONLY))]
     except zipfile.BadZipFile as error:
-        raise ValueError(f"{path}: expected a room of a data set ({error})") from None
+        raise _no_room(path, error) from None
     return hashlib.sha256(repr(used).encode()).hexdigest()
 
 
@@ -110,6 +110,9 @@ def pairs_that_count(path: Path, *, is_upright: bool = False) -> ArrayBool:
 def read_room(path: Path, *, is_upright: bool = False) -> TrainingRoom:
     """All of a room, or what an upright phone sees of it. ValueError naming the file if it is no room."""
     stored = _read(path, *PARTS, *TRAINING_ONLY)
+    for name, array in stored.items():
+        if not np.isfinite(array).all():
+            raise _no_room(path, f"{name} is not finite")
     frames, exposure, radiance = frames_of(stored, is_upright=is_upright), float(stored["exposure"]), None
     if "radiance" in stored:
         kept = stored["radiance"][:, :, _phone(stored, is_upright)[1]].astype(np.float32)
@@ -156,4 +159,8 @@ def _read(path: Path, *names: str) -> Stored:
         stored = read_npz(path, names)
         return {name: stored[name] for name in names if name in stored or name not in TRAINING_ONLY}
     except (KeyError, ValueError) as error:
-        raise ValueError(f"{path}: expected a room of a data set ({error})") from None
+        raise _no_room(path, error) from None
+
+
+def _no_room(path: Path, why: object) -> ValueError:
+    return ValueError(f"{path}: expected a room of a data set ({why}); delete it and build again")

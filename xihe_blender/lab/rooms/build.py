@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 import time
+import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from typing import IO, Any
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, stored_indices
+from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, room_path, stored_indices
 from xihe_blender.lab.workers.dask_workers import Work, open_dask_workers
 from xihe_blender.lab.workers.one_core import last_line, process_on_one_core
 from xihe_blender.lab.workers.processes import module_command
@@ -89,10 +90,14 @@ class BuildSettings:
 def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
     """Build the rooms that are missing in `folder`; returns how many were made now.
 
-    UserError if the folder holds another data set or cannot be written, or a worker fails.
+    UserError if the folder holds another data set or a damaged room or cannot be written, or a worker fails.
     """
     write_manifest(folder, settings.provenance)
     wanted = settings.wanted()
+    for index in stored_indices(folder):
+        # Its end is missing; what else is wrong with it is found where it is read whole.
+        if not zipfile.is_zipfile(room_path(folder, index)):
+            raise UserError(f"{room_path(folder, index)} is damaged: delete it and build again")
     missing = missing_rooms(folder, wanted)
     make = _in_processes if settings.scheduler is None else _over_dask
     yield from make(folder, settings, missing)
