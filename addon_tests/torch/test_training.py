@@ -33,7 +33,7 @@ from xihenet.training.dataset import (
 )
 from xihenet.training.loop import TrainSettings, hide_caps, rows_of_first_rooms, train, training_loss
 from xihenet.training.networks import Batch, export_network, load_network, run_network
-from xihenet.training.rooms import SPLITS, pairs_that_count, read_room, split_of
+from xihenet.training.rooms import SPLITS, pairs_that_count, read_room, room_files, split_of
 
 N = 96
 TINY_POINTCONV = {"centroids": (16, 4), "n_neighbours": 4}
@@ -289,6 +289,16 @@ def test_a_damaged_room_is_named_with_what_to_do(tmp_path):
     with pytest.raises(ValueError, match=r"room_000000\.npz: .*delete it and build again"):
         build_cache([tmp_path], tmp_path / "cache", CacheSettings(N, is_test_only=True))
     assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize(("content", "said"), [('{"format": 1}', "1"), ("{", "'none'"), ("[]", "'none'")])
+def test_rooms_of_another_format_are_refused_as_the_build_does(tmp_path, content, said):
+    write_room(tmp_path, 0)
+    (tmp_path / "dataset.json").write_text(content)
+    with pytest.raises(ValueError, match=f"dataset.json: expected rooms of format 2, got {said}; build them anew"):
+        room_files(tmp_path)
+    (tmp_path / "dataset.json").write_text('{"format": 2}')
+    assert len(room_files(tmp_path)) == 1
 
 
 def curve(folder, column):

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.camera import in_view, unproject_frame
+from xihenet.json_files import read_json
 from xihenet.mirror_ball import project_mirror_ball
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointCloud, RgbdFrame
@@ -24,6 +25,8 @@ from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointClou
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = get_args(Split)
 TRAIN_SHARE, VALIDATION_SHARE = 0.8, 0.1
+ROOM_FORMAT = 2
+MANIFEST = "dataset.json"  # What the rooms in a folder are made with
 ROOMS_OF_A_SEED = 1_000_000  # That a data set has at most
 PARTS = (
     "srgb_u8", "plane_depth_m", "world_from_camera", "intrinsics", "exposure", "positions_m", "is_in_view", "balls",
@@ -64,11 +67,19 @@ class TrainingRoom:
 
 
 def room_files(folder: Path) -> list[Path]:
-    """The rooms in `folder`, in order of their numbers; ValueError if there are none."""
+    """The rooms in `folder`, in order of their numbers; ValueError if there are none, or they are of another format."""
     files = sorted(folder.glob("room_[0-9]*.npz"))
     if not files:
         hint = "make them with the data set build"
         raise ValueError(f"{folder}: expected rooms (room_000000.npz and on), got none; {hint}")
+    manifest = folder / MANIFEST
+    if manifest.exists():
+        try:
+            found = read_json(manifest)["format"]
+        except (ValueError, KeyError, TypeError):
+            found = "none"
+        if found != ROOM_FORMAT:
+            raise ValueError(f"{manifest}: expected rooms of format {ROOM_FORMAT}, got {found!r:.80}; build them anew")
     return files
 
 

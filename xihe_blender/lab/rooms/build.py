@@ -28,7 +28,7 @@ from xihe_blender.lab.workers.one_core import last_line, process_on_one_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet import __version__
 from xihenet.child_processes import n_cores
-from xihenet.training.rooms import SPLITS, Split, split_of
+from xihenet.training.rooms import MANIFEST, SPLITS, Split, split_of
 
 POLL_S = 0.25
 LEFT_BEHIND_S = 600.0  # A room is written in a second.
@@ -37,7 +37,6 @@ MAX_WALK = 240
 MIN_VIEWS, MAX_VIEWS = 5, 50
 WORKER = "xihe_blender.lab.rooms.worker"
 ROOMS_AT_A_TIME = 8  # That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender
-MANIFEST = "dataset.json"  # What the rooms in a folder are made with
 
 
 @dataclass(frozen=True)

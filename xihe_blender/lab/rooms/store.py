@@ -20,9 +20,10 @@ from xihenet.metering import Metering
 from xihenet.mirror_ball import panorama_of_ball
 from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+from xihenet.training.rooms import ROOM_FORMAT
 
 ArrayF16 = NDArray[np.float16]
-FORMAT_VERSION = 2
+FORMAT_VERSION = ROOM_FORMAT
 
 METERING: Metering = "highlights"  # Of every room; a folder that was begun with another is not gone on with
 MAX_FLOAT16 = 65504.0
