@@ -432,6 +432,17 @@ def test_a_training_on_other_clouds_or_of_an_older_version_is_refused_before_any
     assert said.count("\n") == 1 and "an older xihe began" in said and "choose another --out" in said
 
 
+def test_too_few_rooms_are_said_with_how_many_before_any_is_sampled(tmp_path, capsys):
+    (tmp_path / "rooms").mkdir()
+    first = indices("validation", 1)[0]
+    for index in range(2):
+        write_room(tmp_path / "rooms", index)
+    assert train_by_command(tmp_path / "rooms", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "got 2 and 0" in said and f"at least {first + 1} rooms of seed 0" in said
+    assert not list((tmp_path / "out").iterdir())
+
+
 def test_training_stops_when_validation_no_longer_improves(caches, tmp_path):
     settings = quick(caches["sphere"], tmp_path, epochs=40, patience=2, learning_rate=0.05)
     train(settings)

@@ -17,7 +17,7 @@ from typing import NoReturn
 from xihenet.estimators.calibration import SHARES_ASKED
 from xihenet.training.calibration import calibrate_elsewhere, calibrate_network
 from xihenet.training.dataset import CacheSettings, Content, build_cache
-from xihenet.training.loop import TrainSettings, check_resumable, train
+from xihenet.training.loop import TrainSettings, check_trainable, train
 from xihenet.training.networks import SAMPLING_OF, export_network
 from xihenet.training.plots import report_plots
 from xihenet.training.report import ReportSettings, make_report, report_json
@@ -185,7 +185,7 @@ def _run_train(options: argparse.Namespace) -> None:
         own = {"cache": cache, "out": out, "n_rooms": options.rooms, "options": architecture}
         return TrainSettings(**{**same_named, **own})
 
-    clouds = _run_cache(options, lambda cache, content: check_resumable(settings_on(cache), content))
+    clouds = _run_cache(options, lambda cache, content: check_trainable(settings_on(cache), content))
     print(train(settings_on(clouds), progress=_say))
 
 

@@ -34,6 +34,7 @@ from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 from xihenet.training import networks
 from xihenet.training.dataset import CloudSet, Content, open_split, read_content
 from xihenet.training.networks import Batch
+from xihenet.training.rooms import n_rooms_needed, split_of
 from xihenet.training.scores import irradiance_table
 
 N_NORMALS = 32
@@ -144,11 +145,19 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
     return settings.out / "best.pt"
 
 
-def check_resumable(settings: TrainSettings, content: Content) -> None:
-    """ValueError if `settings.out` holds a training with other settings, or on clouds of another content.
+def check_trainable(settings: TrainSettings, content: Content) -> None:
+    """Whether `train` could go on with a cache of that content, which need not be built yet.
 
-    Content that a cache would have can be asked about before that is built.
+    ValueError if its rooms are too few, or `settings.out` holds a training with other settings or on other clouds.
     """
+    splits = [split_of((seed, number)) for seed, number in content["rooms"]]
+    n_train, n_validation = splits.count("train"), splits.count("validation")
+    if not (n_train and n_validation):
+        seed = min(seed for seed, _ in content["rooms"])
+        raise ValueError(
+            f"training: expected rooms of which some train and some validate, got {n_train} and {n_validation}; build "
+            f"at least {n_rooms_needed(seed)} rooms of seed {seed}, of all splits, with xihe dataset build"
+        )
     if (settings.out / "checkpoint.pt").exists():
         _read_checkpoint(settings, content)
 

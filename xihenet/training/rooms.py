@@ -7,6 +7,7 @@ split as a whole, by a hash of its seed: more rooms leave the older ones where t
 from __future__ import annotations
 
 import hashlib
+import itertools
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -111,6 +112,11 @@ def split_of(seed: tuple[int, int]) -> Split:
     if place < TRAIN_SHARE:
         return "train"
     return "validation" if place < TRAIN_SHARE + VALIDATION_SHARE else "test"
+
+
+def n_rooms_needed(seed: int) -> int:
+    """Of a data set of that seed: rooms from the first on, up to the first with which some train and some validate."""
+    return next(n for n in itertools.count(1) if {"train", "validation"} <= {split_of((seed, i)) for i in range(n)})
 
 
 def pairs_that_count(path: Path, *, is_upright: bool = False) -> ArrayBool:
