@@ -99,7 +99,8 @@ def _add_test_options(parser: argparse.ArgumentParser) -> None:
 def _add_train_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--target", choices=("ldr", "hdr"), default="ldr", help="light to learn: clipped at white, or all of it")
-    add("--seed", type=int, default=0, metavar="N", help="the same seed trains the same network")
+    add("--seed", type=int, default=0, metavar="N",
+        help="the same seed trains the same network, to the last bit with one thread (OMP_NUM_THREADS=1)")  # fmt: skip
     add("--epochs", type=int, default=60, metavar="N", help="passes over the training clouds, at most")
     add("--batch-size", type=int, default=64, metavar="N", help="clouds in a batch")
     add("--learning-rate", type=float, default=2e-3, metavar="RATE", help="highest learning rate")
