@@ -45,7 +45,7 @@ class Preset:
     noise_target : relative error of the nine SH coefficients that rendering may cause in captures
     max_samples : Cycles samples per pixel for captures, at most; see `sample_count` for how many are taken
     comparison_samples : Cycles samples per pixel, fixed; 32 at least, since the denoiser takes light of lamps that
-        mirrors and shiny things show for noise: with 8 a method's error came out a sixth to more than half too small
+        mirrors and shiny things show for noise: with 8 a method's error came out too small, see docs/limits.md
     probe_samples : pictures that the reference probe takes, at most; see `reference_probe`
     comparison_step : compare at every n-th frame of the path, and at its last
     min_samples : Cycles samples per pixel for captures, at least
