@@ -14,6 +14,9 @@ from xihe_blender.previs.room_from_above import RoomFromAbove
 from xihenet.records import ArrayF64, RgbdFrame
 
 PATH, LOOK, OBJECT = (240.0, 240.0, 240.0), (255.0, 140.0, 0.0), (80.0, 200.0, 255.0)
+DIMMED = 0.7
+"""Of the room's own brightness, so that what is drawn stands out."""
+
 ARROW_M = 0.9
 """Of an arrow that points along the floor; one that points up is shorter, as seen from above."""
 
@@ -23,7 +26,7 @@ def write_pictures(folder: Path, frames: Sequence[RgbdFrame], results: LookResul
     path = folder / "pictures" / "above.png"
     cameras = np.array([frame.world_from_camera[:3, 3] for frame in frames])
     objects = np.array([place for one in results.objects for place in one.positions_m]).reshape(-1, 3)
-    room = RoomFromAbove(frames, np.concatenate([cameras, objects]), ARROW_M)
+    room = RoomFromAbove(frames, np.concatenate([cameras, objects]), ARROW_M, lambda _, srgb: 255 * DIMMED * srgb)
     for first, last in itertools.pairwise(cameras):
         room.line(first, last, PATH, 2)
     for camera in cameras:

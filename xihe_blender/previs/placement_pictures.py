@@ -13,10 +13,10 @@ import numpy as np
 
 from xihe_blender.io.outputs import write_picture
 from xihe_blender.io.placement_results import N_EXTREMES, PlacementResults, best_first
+from xihe_blender.previs.room_from_above import WIDTH_PX, RoomFromAbove
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
-from xihenet.records import ArrayF64, ArrayInt, ArrayU8, RgbdFrame
+from xihenet.records import ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
-WIDTH_PX, HEIGHT_PX = 960, 720
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 BRIGHT, WHITE_AT = 200.0, 95.0
 """Grey of what only `100 - WHITE_AT` percent of the room exceed in brightness."""
@@ -26,9 +26,6 @@ SHADE = 0.45
 
 AROUND_M = 0.4
 """Of the room that is shown beyond the outermost places."""
-
-PIXELS_A_POINT = 3
-"""Across, in the picture from above: points lie sparser than its pixels."""
 
 BEST_RING, WORST_RING, RING_PX = 255.0, 0.0, 10
 """Grey, and the radius, of the rings around the ten best and the ten worst places in the picture from above."""
@@ -84,7 +81,7 @@ class Painter:
             found[is_it] = self.order[at[is_it]]
         return found
 
-    def paint(self, points: ArrayF64, srgb: ArrayF64, white: float) -> ArrayF64:
+    def paint(self, points: ArrayF64, srgb: ArrayF32 | ArrayF64, white: float) -> ArrayF64:
         """(P, 3), 0 to 255: points (P, 3) of a room of which `white` is the brightness of what is bright."""
         grey = np.minimum(srgb @ LUMINANCE / white, 1.0) * BRIGHT
         place, shade = self.place_of(points), SHADE + (1 - SHADE) * grey / BRIGHT
@@ -92,40 +89,30 @@ class Painter:
         return np.where(place[:, None] < 0, room, self.colours[place] * shade[:, None])
 
 
-def _white(srgb: ArrayF64) -> float:
+def _white(srgb: ArrayF32 | ArrayF64) -> float:
     """The brightness of what is bright in (P, 3) sRGB-encoded colours."""
     return max(float(np.percentile(srgb @ LUMINANCE, WHITE_AT)) if len(srgb) else 1.0, 1e-3)
 
 
 def _from_above(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
-    """The room below the phone, seen from above with +Y up."""
     positions = painter.positions
-    low, high = (positions[:, :2].min(axis=0) - AROUND_M, positions[:, :2].max(axis=0) + AROUND_M)
-    points, srgb = _room_below_the_phone(frames, low, high, float(positions[:, 2].max()))
-    scale = min(WIDTH_PX / (high[0] - low[0]), HEIGHT_PX / (high[1] - low[1]))
-    width, height = (max(1, int(side)) for side in (high - low) * scale)
-    picture = np.full((height, width, 3), 24.0)
-    column, row = _pixels(points, low, high, scale, (width, height))
-    painted = painter.paint(points, srgb, _white(srgb))
-    for down in range(PIXELS_A_POINT):
-        for across in range(PIXELS_A_POINT):
-            picture[np.minimum(row + down, height - 1), np.minimum(column + across, width - 1)] = painted
+    room = RoomFromAbove(frames, positions, AROUND_M, lambda p, srgb: painter.paint(p, srgb, _white(srgb)))
     if painter.are_in_air:
-        columns, rows = _pixels(positions, low, high, scale, (width, height))
-        half = np.full(len(columns), max(1, int(0.28 * painter.spacing_m * scale)))
-        _draw_squares(picture, np.stack([columns, rows], axis=1), half, painter.colours)
-    for ends, colour in ((painter.best, BEST_RING), (painter.worst, WORST_RING)):
-        for x, y in zip(*_pixels(positions[ends], low, high, scale, (width, height)), strict=True):
-            _draw_ring(picture, x, y, colour)
-    _draw_metre(picture, scale)
-    return picture.round().astype(np.uint8)
+        half = max(1, int(0.28 * painter.spacing_m * room.pixels_per_m))
+        for place, colour in zip(positions, painter.colours, strict=True):
+            room.square(place, colour, half)
+    for ends, grey in ((painter.best, BEST_RING), (painter.worst, WORST_RING)):
+        for x, y in zip(*room.pixels(positions[ends]), strict=True):
+            _draw_ring(room.picture, x, y, grey)
+    _draw_metre(room.picture, room.pixels_per_m)
+    return room.picture.round().astype(np.uint8)
 
 
-def _draw_ring(picture: ArrayF64, x: int, y: int, colour: float) -> None:
+def _draw_ring(picture: ArrayF64, x: int, y: int, grey: float) -> None:
     rows, columns = np.ogrid[: picture.shape[0], : picture.shape[1]]
     away = np.hypot(rows - y, columns - x)
-    picture[np.abs(away - RING_PX) < 3.5] = 255 - colour
-    picture[np.abs(away - RING_PX) < 2] = colour
+    picture[np.abs(away - RING_PX) < 3.5] = 255 - grey
+    picture[np.abs(away - RING_PX) < 2] = grey
 
 
 def _draw_metre(picture: ArrayF64, scale: float) -> None:
@@ -133,28 +120,6 @@ def _draw_metre(picture: ArrayF64, scale: float) -> None:
     bottom, length = picture.shape[0] - EDGE_PX, int(scale)
     picture[bottom - 8 : bottom, EDGE_PX - 3 : EDGE_PX + length + 3] = 0.0
     picture[bottom - 6 : bottom - 2, EDGE_PX : EDGE_PX + length] = 255.0
-
-
-def _room_below_the_phone(
-    frames: Sequence[RgbdFrame], low: ArrayF64, high: ArrayF64, at_least_m: float
-) -> tuple[ArrayF64, ArrayF64]:
-    """Points (P, 3) and their colours, the highest last; what is above the phone would hide the room."""
-    clouds = [unproject_frame(frame) for frame in frames]
-    points = np.concatenate([cloud.points_m for cloud in clouds]).astype(np.float64)
-    srgb = np.concatenate([cloud.srgb for cloud in clouds]).astype(np.float64)
-    eyes = float(np.mean([frame.world_from_camera[2, 3] for frame in frames]))
-    kept = np.isfinite(points).all(axis=1) & (points[:, 2] < max(eyes, at_least_m))
-    kept &= ((points[:, :2] > low) & (points[:, :2] < high)).all(axis=1)
-    order = np.argsort(points[kept][:, 2], kind="stable")
-    return points[kept][order], srgb[kept][order]
-
-
-def _pixels(
-    points: ArrayF64, low: ArrayF64, high: ArrayF64, scale: float, size: tuple[int, int]
-) -> tuple[ArrayInt, ArrayInt]:
-    column = ((points[:, 0] - low[0]) * scale).astype(np.int64).clip(0, size[0] - 1)
-    row = ((high[1] - points[:, 1]) * scale).astype(np.int64).clip(0, size[1] - 1)
-    return column, row
 
 
 def _through_camera(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
