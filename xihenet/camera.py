@@ -19,9 +19,6 @@ from numpy.typing import ArrayLike
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.invalid import counted, left_out
-from xihenet.metering import KEY_LUMINANCE as KEY_LUMINANCE
-from xihenet.metering import LUMINANCE as LUMINANCE
-from xihenet.metering import metered_exposure as metered_exposure
 from xihenet.openings import with_openings
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, FarPixels, PixelGrid, PointCloud, RgbdFrame
 from xihenet.records import Intrinsics as Intrinsics

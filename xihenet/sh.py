@@ -16,10 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.colour import srgb_to_linear
-from xihenet.panorama import evaluate_panorama as evaluate_panorama
-from xihenet.panorama import panorama_directions as panorama_directions
 from xihenet.panorama import project_panorama as project_panorama
-from xihenet.panorama import solid_angles as solid_angles
 from xihenet.records import ArrayF64, UnitSphereCloud
 from xihenet.sh_basis import band_slice, checked_sh, n_coefficients, per_coefficient
 from xihenet.sh_basis import basis as basis

@@ -6,9 +6,9 @@ from renders import captured
 from tiny_scenes import box, empty_scene, material, phone, set_world
 
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
-from xihenet import sh
 from xihenet.camera import unproject_frame
 from xihenet.colour import srgb_to_linear
+from xihenet.panorama import panorama_directions
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
@@ -48,7 +48,7 @@ def test_the_probe_knows_the_side_and_its_panorama_shows_it_there(axis, sign):
     towards /= np.linalg.norm(towards)
     for direction in map(dominant_direction, (light.measured.ldr, light.measured.hdr)):
         assert direction @ towards / np.linalg.norm(direction) > 0.995
-    along = sh.panorama_directions(*light.panorama.shape[:2]) @ towards
+    along = panorama_directions(*light.panorama.shape[:2]) @ towards
     # Straight down is the rim of the mirror ball, where pixels are long and narrow.
     is_down = (axis, sign) == (2, -1)
     bright = light.panorama[along > 0.98]

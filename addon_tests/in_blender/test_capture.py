@@ -27,7 +27,8 @@ from tiny_scenes import (
 from xihe_blender.capture.render import RenderSettings, render_scene, working_scene
 from xihe_blender.capture.scanner import METERING_SAMPLES, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
-from xihenet.camera import KEY_LUMINANCE, ray_distance_from_plane_depth, unproject_frame
+from xihenet.camera import ray_distance_from_plane_depth, unproject_frame
+from xihenet.metering import KEY_LUMINANCE
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -10,7 +10,8 @@ from addon_tests.fuzz import some_examples
 from addon_tests.pure.hard_cases.hard_clouds import estimator
 from addon_tests.pure.made import looked_at, pose_of
 from xihenet.buffers import merge
-from xihenet.camera import encode_exposed, metered_exposure, project_points, unproject_frame
+from xihenet.camera import encode_exposed, project_points, unproject_frame
+from xihenet.metering import metered_exposure
 from xihenet.metrics import angular_error_deg, image_rmse, normalized_rmse, psnr, shc_rmse, si_rmse, ssim
 from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference

@@ -16,6 +16,7 @@ import bpy
 
 from xihe_blender.apply.datablocks import MAP
 from xihe_blender.io.placement_results import N_EXTREMES, Place, best_first, error_range
+from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
 
 NAME = "Xihe Placement Map"
@@ -103,10 +104,7 @@ def _add_attributes(mesh: bpy.types.Mesh, places: Sequence[Place]) -> None:
 
 def _material() -> bpy.types.Material:
     """Shines in the colours of the attribute, whatever light there is."""
-    material = bpy.data.materials.new(NAME)
-    # Blender 5 gives every material its nodes, and warns of the switch.
-    if material.node_tree is None:
-        material.use_nodes = True
+    material = new_material(NAME)
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
     attribute, emission, output = (

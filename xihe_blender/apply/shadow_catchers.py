@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX, SHADOW_CATCHER, shortened
+from xihe_blender.scene.shader_nodes import new_material
 
 if TYPE_CHECKING:  # The panel, which asks for what is left of a run, must do without NumPy.
     from xihenet.records import ArrayF32, ArrayF64
@@ -116,9 +117,7 @@ def triangles_of(scan: bpy.types.Object) -> ArrayF32:
 
 def _unseen_in_eevee(name: str) -> bpy.types.Material:
     """White for Cycles, whatever the surface is: the ratio does not depend on it. Nothing at all for EEVEE."""
-    material = bpy.data.materials.new(name)
-    if material.node_tree is None:  # from 5.0 on a new material has its nodes, and asking for them warns
-        material.use_nodes = True
+    material = new_material(name)
     tree = material.node_tree
     tree.nodes.clear()
     for target, shader in (("CYCLES", "ShaderNodeBsdfDiffuse"), ("EEVEE", "ShaderNodeBsdfTransparent")):

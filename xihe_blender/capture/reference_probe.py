@@ -34,11 +34,12 @@ from numpy.typing import ArrayLike
 from xihe_blender.capture.light_links import joined_light_links
 from xihe_blender.capture.render import MAX_SEED, Rendered, RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import leave_out_virtual_objects
+from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.camera import KEY_LUMINANCE
 from xihenet.clipped_light import clipped_sh, relative_noise
 from xihenet.estimators.base import Target
+from xihenet.metering import KEY_LUMINANCE
 from xihenet.mirror_ball import panorama_of_ball, project_mirror_ball
 from xihenet.records import ArrayF32, ArrayF64
 
@@ -417,9 +418,7 @@ def _ball_radius(position_m: ArrayF64, metres: float) -> float:
 
 
 def _cone_material() -> bpy.types.Material:
-    material = bpy.data.materials.new(NAME)
-    if material.node_tree is None:  # from 5.0 on a new material has its nodes, and asking for them warns
-        material.use_nodes = True
+    material = new_material(NAME)
     tree = material.node_tree
     tree.nodes.clear()
     cone = tree.nodes.new("ShaderNodeBsdfToon")

@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.scene.phone_capture import SCAN
+from xihe_blender.scene.shader_nodes import new_material
 from xihenet.captures.capture import Capture
 from xihenet.scan import ScanMesh
 
@@ -53,9 +54,7 @@ def add_scan(name: str, scan: ScanMesh, unit_m: float) -> bpy.types.Object:
 
 def _showing_colours(name: str) -> bpy.types.Material:
     """A dull material in the colours of the mesh's points."""
-    material = bpy.data.materials.new(name)
-    if material.node_tree is None:  # from 5.0 on a new material has its nodes, and asking for them warns
-        material.use_nodes = True
+    material = new_material(name)
     tree = material.node_tree
     shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Roughness"].default_value = 1.0

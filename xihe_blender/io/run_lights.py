@@ -11,9 +11,9 @@ from typing import get_args
 import numpy as np
 
 from xihe_blender.errors import UserError
+from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import LightChange, RunResults
-from xihenet.exr import read_exr
 from xihenet.light import LightParts
 from xihenet.light.environments import laid_out_as_ours
 from xihenet.light.exports import NamedLight, export_files, scaled
@@ -38,9 +38,8 @@ def panorama_of_change(change: LightChange, folder: Path, exposure: float) -> Ar
         return None
     path = folder / change.reflections.picture
     try:
-        channels = read_exr(path)
-        picture = np.stack([channels[channel] for channel in "RGB"], axis=-1)
-    except (OSError, ValueError, KeyError) as error:
+        picture = read_radiance(path)
+    except (OSError, ValueError) as error:
         raise UserError(f"{path} cannot be read ({error}): run xihe previs again, or add --light sh+key") from error
     # A run writes it as Blender's Environment Texture reads it.
     return laid_out_as_ours(np.maximum(picture.astype(np.float64), 0.0) * exposure, "+X")

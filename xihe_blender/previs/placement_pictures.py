@@ -15,9 +15,9 @@ from xihe_blender.io.outputs import write_picture
 from xihe_blender.io.placement_results import N_EXTREMES, PlacementResults, best_first
 from xihe_blender.previs.room_from_above import WIDTH_PX, RoomFromAbove
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
+from xihenet.metering import LUMINANCE
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
 BRIGHT, WHITE_AT = 200.0, 95.0
 """Grey of what only `100 - WHITE_AT` percent of the room exceed in brightness."""
 

@@ -40,8 +40,8 @@ from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.previs.plan import PrevisPlan, evenly_chosen
 from xihe_blender.previs.settings import Preset, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
-from xihenet.camera import KEY_LUMINANCE, unproject_frame
-from xihenet.metering import MOST_STOPS
+from xihenet.camera import unproject_frame
+from xihenet.metering import KEY_LUMINANCE, MOST_STOPS
 from xihenet.records import ArrayF64
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors

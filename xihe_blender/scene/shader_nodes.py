@@ -109,6 +109,14 @@ def light_emits(light: bpy.types.Light) -> bool:
     return output is not None and bool(_surface(output.inputs["Surface"]).interactions & A.EMISSION)
 
 
+def new_material(name: str) -> bpy.types.Material:
+    """One with nodes: from 5.0 on all have them, and asking for them warns."""
+    material = bpy.data.materials.new(name)
+    if material.node_tree is None:
+        material.use_nodes = True
+    return material
+
+
 def has_nodes(block: bpy.types.ID) -> bool:
     """From 5.0 on all materials and worlds are made of nodes, and the switch is deprecated."""
     return block.node_tree is not None and (bpy.app.version >= (5, 0, 0) or block.use_nodes)

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
 
@@ -93,9 +94,7 @@ def rig_material(name: str, look: dict[str, Any]) -> bpy.types.Material:
     known = bpy.data.materials.get(name)
     if known is not None:
         return known
-    material = bpy.data.materials.new(name)
-    if material.node_tree is None:  # from 5.0 on a new material has its nodes, and asking for them warns
-        material.use_nodes = True
+    material = new_material(name)
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     for socket, value in look.items():
         shader.inputs[socket].default_value = value

@@ -12,6 +12,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.scene.estimation_positions import world_box_corners
+from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.viewer.page import TURNED, ViewedObject
 from xihenet.light.platforms import Y_UP
@@ -86,9 +87,7 @@ def _as_cycles_shows_it(item: bpy.types.Object) -> None:
     """Give an object without a material the matt grey that Cycles has for it: in glTF it would be a metal."""
     if not hasattr(item.data, "materials") or any(slot.material is not None for slot in item.material_slots):
         return
-    grey = bpy.data.materials.new("Grey")
-    if grey.node_tree is None:
-        grey.use_nodes = True
+    grey = new_material("Grey")
     tree = grey.node_tree
     tree.nodes.clear()
     shader = tree.nodes.new("ShaderNodeBsdfPrincipled")

@@ -27,13 +27,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.colour import srgb_to_linear
+from xihenet.metering import LUMINANCE
 from xihenet.records import ArrayBool, ArrayF64, KeyLight, ObjectLight, UnitSphereCloud
 from xihenet.sh_basis import checked_sh
 from xihenet.sphere import AnchorLattice
 
 WhyNone = Literal["", "dark", "flat", "two lights"]
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 BRIGHT_OF_BRIGHTEST, BRIGHT_OF_MEDIAN = 0.5, 2.5
 """An anchor belongs to a bright patch from these shares of the brightest and of the median of what was seen on."""
 

@@ -87,7 +87,7 @@ def follow_exposure(
 ) -> ArrayF64:
     """(N,) the exposure of each frame of a session.
 
-    `times_s` (N,) never decrease; `metered` (N,) is what each frame's own light asks for, as `camera.metered_exposure`
+    `times_s` (N,) never decrease; `metered` (N,) is what each frame's own light asks for, as `metered_exposure`
     gives it; clamps lie around `reference`, the session's exposure. The first frame is metered well (a phone's preview
     ran before); each later one only knows the frames before it.
     """

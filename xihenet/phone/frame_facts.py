@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.camera import metered_exposure, unproject_frame, valid_plane_depth
+from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.colour import srgb_to_linear
+from xihenet.metering import metered_exposure
 from xihenet.phone.depth import window_span_m
 from xihenet.phone.holes import SurfaceFacts, facing_cosines
 from xihenet.phone.motion import turn_between

@@ -8,7 +8,8 @@ import pytest
 
 from addon_tests.hard_case import at_most, near, refused, row, that
 from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny
-from xihenet.sh import basis, cosine_lobe, evaluate_panorama, panorama_directions, project_panorama, solid_angles
+from xihenet.panorama import evaluate_panorama, panorama_directions, solid_angles
+from xihenet.sh import basis, cosine_lobe, project_panorama
 
 STAGE = "harmonics"
 UNIT_NORMALS = random_directions(2000)

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xihe_blender.errors import UserError
+from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.json_records import Json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, part_of
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.captures import open_capture
-from xihenet.exr import read_exr
 from xihenet.json_files import read_json
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.session_score import score_places
@@ -184,6 +184,5 @@ def load_session(file: Path | None, folder: Path, facts: Json) -> Session:
 def _place(name: str, position_m: ArrayF64, light: dict[str, Json], folder: Path) -> Place:
     if not light:
         return Place(name, position_m)
-    spheres = read_exr(folder / light["files"]["spheres"])
-    seen = np.stack([spheres[channel] for channel in "RGB"], axis=-1)
-    return Place(name, position_m, np.array(light["ldr"]), np.array(light["hdr"]), seen)
+    spheres = read_radiance(folder / light["files"]["spheres"])
+    return Place(name, position_m, np.array(light["ldr"]), np.array(light["hdr"]), spheres)

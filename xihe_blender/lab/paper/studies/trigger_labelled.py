@@ -16,9 +16,10 @@ from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb
 from xihenet.light_difference import light_difference
 from xihenet.metrics import ssim
+from xihenet.panorama import panorama_directions
 from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
-from xihenet.sh import irradiance, panorama_directions
+from xihenet.sh import irradiance
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import TriggerSettings, decide_trigger
 
