@@ -60,7 +60,9 @@ def save_side_by_side(results: RunResults, folder: Path, method: str | None = No
         height, width, _ = pictures[0].shape
         labels = ("Captured by the phone", "Ground truth", f"Estimate: {method}", f"{method} | ground truth")
         fps = results.scene.fps * (len(compared) - 1) / max(max(compared) - min(compared), 1)
-        with sequence(unlabelled, (width, height), labels, fps or 1.0) as scene:
+        size = (2 * width, 2 * (height + BAR_PX))
+        with sequence(SCENE, unlabelled, size, fps or 1.0) as (scene, strips, _):
+            add_labels(strips, labels, (width, height), len(unlabelled))
             labelled = render_pictures(scene, Path(temporary))
             film = render_film(scene, Path(temporary))
         for frame, picture in zip(compared, labelled, strict=True):
@@ -114,26 +116,20 @@ def composed(captured: ArrayF32, truth: ArrayF32, estimate: ArrayF32, *, wipe: f
 
 @contextlib.contextmanager
 def sequence(
-    pictures: Sequence[Path], size: tuple[int, int], labels: Sequence[str], fps: float
-) -> Iterator[bpy.types.Scene]:
-    """A scene whose sequencer plays `pictures`, made of four of `size` each, with `labels` on their bars; then gone."""
-    scene = bpy.data.scenes.new(SCENE)
+    name: str, pictures: Sequence[Path], size: tuple[int, int], fps: float
+) -> Iterator[tuple[bpy.types.Scene, Any, Any]]:
+    """A scene of that name whose sequencer plays `pictures`, all its strips, and theirs; then it is gone."""
+    scene = bpy.data.scenes.new(name)
     try:
         scene[WORKING] = True
-        width, height = size
-        set_up_output(scene, (2 * width, 2 * (height + BAR_PX)), fps)
+        set_up_output(scene, size, fps)
         scene.frame_start, scene.frame_end = 1, len(pictures)
         editor = scene.sequence_editor_create()
         strips = editor.strips if hasattr(editor, "strips") else editor.sequences  # Blender 4.3
         strip = strips.new_image("Pictures", str(pictures[0]), channel=1, frame_start=1)
         for picture in pictures[1:]:
             strip.elements.append(picture.name)
-        for number, label in enumerate(labels):
-            row, column = divmod(number, 2)
-            above_px = row * (height + BAR_PX) + BAR_PX / 2
-            place = (column / 2 + 10 / (2 * width), 1 - above_px / (2 * (height + BAR_PX)))
-            add_label(strips, label, channel=2 + number, n_frames=len(pictures), place=place)
-        yield scene
+        yield scene, strips, strip
     finally:
         bpy.data.scenes.remove(scene)
 
@@ -147,6 +143,16 @@ def set_up_output(scene: bpy.types.Scene, size: tuple[int, int], fps: float) -> 
     render.fps_base = render.fps / fps
     scene.view_settings.view_transform = "Standard"
     scene.view_settings.look = "None"
+
+
+def add_labels(strips: Any, labels: Sequence[str], size: tuple[int, int], n_frames: int) -> None:
+    """Write `labels` on the bars of four pictures of `size` each, for so many frames."""
+    width, height = size
+    for number, label in enumerate(labels):
+        row, column = divmod(number, 2)
+        above_px = row * (height + BAR_PX) + BAR_PX / 2
+        place = (column / 2 + 10 / (2 * width), 1 - above_px / (2 * (height + BAR_PX)))
+        add_label(strips, label, channel=2 + number, n_frames=n_frames, place=place)
 
 
 def add_label(strips: Any, label: str, *, channel: int, n_frames: int, place: tuple[float, float]) -> None:

@@ -26,7 +26,6 @@ _SHOWN_MISSING = 12
 
 METHOD_MEANINGS = {
     "ambient": "One colour from every direction, as a phone's ambient light sensor reports.",
-    "probe": "A mirror ball at the object's position, seen by the camera.",
     "projection": "Least-squares fit to what the camera has seen so far; no learning.",
     "pointar": "Uniform random samples and a point-cloud network.",
     "xihenet": "Unit-sphere samples and a point-cloud network, as in the paper.",

@@ -47,25 +47,9 @@ def _table(place: Place, piece: Piece, m: list[Material]) -> None:
     furniture.add_table(place, piece.size, m[0], m[1], leg_m=leg_m)
 
 
-def _round_table(place: Place, piece: Piece, m: list[Material]) -> None:
-    furniture.add_round_table(place, piece.size[0] / 2, piece.size[2], m[0], m[1])
-
-
-def _chair(place: Place, piece: Piece, m: list[Material]) -> None:
-    furniture.add_chair(place, m[0], m[1])
-
-
 def _sofa(place: Place, piece: Piece, m: list[Material]) -> None:
     n_throws = int(_generator(piece).integers(0, 3)) if piece.size[0] > 1.2 else 0
     furniture.add_sofa(place, piece.size[0], m[0], m[1], [m[2]] * n_throws)
-
-
-def _bed(place: Place, piece: Piece, m: list[Material]) -> None:
-    furniture.add_bed(place, piece.size[0] - 0.2, m[0], m[1], m[2])
-
-
-def _bench(place: Place, piece: Piece, m: list[Material]) -> None:
-    furniture.add_bench(place, piece.size, m[0], m[1])
 
 
 def _bookcase(place: Place, piece: Piece, m: list[Material]) -> None:
@@ -150,10 +134,6 @@ def _box(place: Place, piece: Piece, m: list[Material]) -> None:
     place.add(box(piece.size, (0, 0, piece.size[2] / 2)), m[0], bevel_m=BOXES[piece.kind])
 
 
-def _post(place: Place, piece: Piece, m: list[Material]) -> None:
-    place.add(cylinder(piece.size[0] / 2, piece.size[2]), m[0], smooth=True)
-
-
 def _stairs(place: Place, piece: Piece, m: list[Material]) -> None:
     """Steps of about 17 cm that rise towards the back."""
     w, d, h = piece.size
@@ -169,10 +149,14 @@ def _turned(place: Place, piece: Piece, m: list[Material]) -> None:
 
 
 MAKERS: dict[str, Maker] = {
-    "table": _table, "desk": _table, "coffee_table": _table, "round_table": _round_table, "chair": _chair,
-    "sofa": _sofa, "armchair": _sofa, "bed": _bed, "bench": _bench, "bookcase": _bookcase, "sideboard": _cabinet,
-    "wardrobe": _cabinet, "chest": _cabinet, "counter": _counter, "tub": _tub, "plant": _plant, "picture": _picture,
-    "radiator": _radiator, "screen": _screen, "ball": _ball, "book_pile": _book_pile, "post": _post,
-    "stairs": _stairs,
+    "table": _table, "desk": _table, "coffee_table": _table, "sofa": _sofa, "armchair": _sofa,
+    "bookcase": _bookcase, "sideboard": _cabinet, "wardrobe": _cabinet, "chest": _cabinet, "counter": _counter,
+    "tub": _tub, "plant": _plant, "picture": _picture, "radiator": _radiator, "screen": _screen, "ball": _ball,
+    "book_pile": _book_pile, "stairs": _stairs,
+    "round_table": lambda place, piece, m: furniture.add_round_table(place, piece.size[0] / 2, piece.size[2], *m),
+    "chair": lambda place, piece, m: furniture.add_chair(place, *m),
+    "bed": lambda place, piece, m: furniture.add_bed(place, piece.size[0] - 0.2, *m),
+    "bench": lambda place, piece, m: furniture.add_bench(place, piece.size, *m),
+    "post": lambda place, piece, m: place.add(cylinder(piece.size[0] / 2, piece.size[2]), m[0], smooth=True),
     **dict.fromkeys(BOXES, _box), **dict.fromkeys(TURNED, _turned),
 }  # fmt: skip
