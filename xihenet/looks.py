@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xihenet.phone.motion import turns_by
 from xihenet.records import ArrayF64
 
 PITCHES_DEG = (-40.0, 0.0, 40.0, 75.0)
@@ -77,7 +78,8 @@ class Look:
     def pose(self, share: float) -> ArrayF64:
         """(4, 4) world_from_camera where `share` of the turn is done, 0 to 1."""
         turned = self.start.copy()
-        turned[:3, :3] = self.start[:3, :3] @ _rotation(share * _rotation_vector(self.start[:3, :3], self.end[:3, :3]))
+        whole = _rotation_vector(self.start[:3, :3], self.end[:3, :3])
+        turned[:3, :3] = self.start[:3, :3] @ turns_by(whole, np.array([share]))[0]
         return turned
 
     def poses(self, settings: LookSettings) -> list[ArrayF64]:
@@ -174,14 +176,3 @@ def _rotation_vector(first: ArrayF64, last: ArrayF64) -> ArrayF64:
         return np.zeros(3)
     half_turn: ArrayF64 = np.linalg.svd(turn + np.eye(3))[0][:, 0] * math.pi
     return half_turn
-
-
-def _rotation(vector: ArrayF64) -> ArrayF64:
-    """(3, 3) of axis times angle in radians; Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    rotation: ArrayF64 = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * (cross @ cross)
-    return rotation

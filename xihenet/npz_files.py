@@ -8,11 +8,12 @@ may be asks `npz_sizes` first, which no unpacked array exceeds.
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +38,19 @@ BROKEN_FILE = (
 """What NumPy and zipfile were seen to raise, or say that they raise, for files that are none."""
 
 
-def npz_sizes(path: Path) -> dict[str, int]:
-    """Bytes that each array of the file takes unpacked, by name, without unpacking any. Raises as `read_npz`."""
+@contextlib.contextmanager
+def _errors_of_file() -> Iterator[None]:
     try:
-        with zipfile.ZipFile(path) as archive:
-            members = sorted((one.filename.removesuffix(".npy"), one.file_size) for one in archive.infolist())
-            return dict(members)  # of two with one name the larger: NumPy decides which of them it reads
+        yield
     except BROKEN_FILE as error:
         raise ValueError(f"not a sound .npz file ({type(error).__name__}: {error})") from None
+
+
+def npz_sizes(path: Path) -> dict[str, int]:
+    """Bytes that each array of the file takes unpacked, by name, without unpacking any. Raises as `read_npz`."""
+    with _errors_of_file(), zipfile.ZipFile(path) as archive:
+        members = sorted((one.filename.removesuffix(".npy"), one.file_size) for one in archive.infolist())
+        return dict(members)  # of two with one name the larger: NumPy decides which of them it reads
 
 
 def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
@@ -52,8 +58,5 @@ def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, NDAr
 
     ValueError if it is no sound .npz, OSError if it cannot be read.
     """
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files if names is None or name in names}
-    except BROKEN_FILE as error:
-        raise ValueError(f"not a sound .npz file ({type(error).__name__}: {error})") from None
+    with _errors_of_file(), path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored.files if names is None or name in names}

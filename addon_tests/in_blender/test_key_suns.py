@@ -22,7 +22,7 @@ from xihe_blender.apply.key_suns import (
     remove_key_sun,
     sun_name,
 )
-from xihe_blender.apply.reflection_pictures import PICTURE
+from xihe_blender.apply.reflection_pictures import PICTURE, is_shiny, light_called_for
 from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, f_curves, make_sh_world
 from xihe_blender.apply.shadow_catchers import catcher_name, shadow_catchers
 from xihe_blender.capture.render import RenderSettings, render_passes
@@ -33,7 +33,6 @@ from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
-from xihe_blender.previs.light_called_for import is_shiny, light_called_for
 from xihe_blender.previs.lit_blend import key_object_light
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run

@@ -24,6 +24,7 @@ from mathutils import Matrix
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, lit_scene
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
+from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ ROOM_COPY = "xihe_room_copy"
 """Custom property of what holds out in front of the objects. A name would not do: a user's object may have it."""
 
 _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "CURVES", "POINTCLOUD")
-_RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,7 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
             copied.name, copied.is_holdout = f"{LIT_SCENE} {item.name}", True
             copied[ROOM_COPY] = copied.hide_select = True
             copied.is_shadow_catcher &= SCAN not in item
-            for ray in _RAYS:
-                setattr(copied, f"visible_{ray}", False)
+            show_to_camera_alone(copied)
             holder.objects.link(copied)
     lit.collection.children.link(holder)
 

@@ -17,6 +17,7 @@ import bpy
 from xihe_blender.apply.datablocks import MAP
 from xihe_blender.io.placement_results import N_EXTREMES, Place, best_first, error_range
 from xihe_blender.scene.shader_nodes import new_material
+from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 
 NAME = "Xihe Placement Map"
@@ -119,8 +120,7 @@ def _material() -> bpy.types.Material:
 def _hide_from_renders(item: bpy.types.Object) -> None:
     item.hide_render = True
     # A rendered view shows what is not hidden in the view, and would be lit by it.
-    for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
-        setattr(item, f"visible_{ray}", False)
+    show_to_camera_alone(item)
 
 
 def remove_placement_map() -> None:

@@ -11,7 +11,7 @@ have the picture with its lamp, which shows what it looks like, and no sun.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import bpy
@@ -22,6 +22,7 @@ from xihe_blender.apply.datablocks import MADE_BY, NODE_GROUP_NAME
 from xihe_blender.apply.images import as_environment, write_image
 from xihe_blender.apply.sh_worlds import curve_lists, hold_keys
 from xihe_blender.scene.shader_nodes import smoothest_roughness
+from xihenet.light import LightParts
 
 PICTURE = "Xihe Reflections"
 """Of the nodes in a world, and the beginning of its image's name."""
@@ -35,6 +36,21 @@ def has_sun_for_lamp(item: bpy.types.Object) -> bool:
     """Whether a virtual object is so rough that the sun takes the place of its lamp in the picture."""
     roughness = [smoothest_roughness(slot.material) for slot in item.material_slots]
     return all(value is not None and value >= ROUGH_FROM for value in roughness)
+
+
+SHINY_BELOW = 0.4
+"""Roughness of a surface that shows more of its surroundings than nine coefficients hold: matte silver has 0.3."""
+
+
+def light_called_for(objects: Sequence[bpy.types.Object]) -> LightParts:
+    """What objects need, and no more: a key light for the shadow of each, and reflections where one is shiny."""
+    return "sh+key+reflections" if any(map(is_shiny, objects)) else "sh+key"
+
+
+def is_shiny(item: bpy.types.Object) -> bool:
+    """Whether a part of a virtual object mirrors the room, by SHINY_BELOW; an instance is not asked."""
+    roughness = [smoothest_roughness(slot.material) for slot in item.material_slots]
+    return any(value is not None and value < SHINY_BELOW for value in roughness)
 
 
 def reflect_in_world(world: bpy.types.World, panorama: ArrayLike, exposure: float = 1.0) -> None:

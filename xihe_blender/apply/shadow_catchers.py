@@ -15,12 +15,11 @@ import bpy
 
 from xihe_blender.apply.datablocks import PREFIX, SHADOW_CATCHER, shortened
 from xihe_blender.scene.shader_nodes import new_material
+from xihe_blender.scene.state import show_to_camera_alone
 
 if TYPE_CHECKING:  # The panel, which asks for what is left of a run, must do without NumPy.
     from xihenet.records import ArrayF32, ArrayF64
     from xihenet.surfaces import Surface
-
-_OTHER_RAYS = ("diffuse", "glossy", "transmission", "volume_scatter", "shadow")
 
 
 def make_shadow_catcher(name: str) -> bpy.types.Object:
@@ -31,8 +30,7 @@ def make_shadow_catcher(name: str) -> bpy.types.Object:
     catcher[SHADOW_CATCHER] = name
     catcher.hide_select = True
     catcher.is_shadow_catcher = True
-    for ray in _OTHER_RAYS:
-        setattr(catcher, f"visible_{ray}", False)
+    show_to_camera_alone(catcher)
     return catcher
 
 

@@ -36,6 +36,7 @@ from xihe_blender.capture.render import MAX_SEED, Rendered, RenderSettings, rend
 from xihe_blender.capture.scanner import leave_out_virtual_objects
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.sphere_rig import sphere_mesh
+from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.clipped_light import clipped_sh, relative_noise
 from xihenet.estimators.base import Target
@@ -405,8 +406,7 @@ def _put_balls(stack: contextlib.ExitStack, scene: bpy.types.Scene, positions_m:
         mesh.materials.append(material)
         ball = bpy.data.objects.new(NAME, mesh)
         ball.location = tuple(position / metres)
-        for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
-            setattr(ball, f"visible_{ray}", False)
+        show_to_camera_alone(ball)
         scene.collection.objects.link(ball)
         balls.append(ball)
     return balls

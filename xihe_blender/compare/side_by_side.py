@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ SMALLEST_WIDTH_PX = 480
 
 BAR_PX = 36
 BAR = 0.06
-SCENE = "Xihe Side by Side"
+SCENE, FILM_SCENE = "Xihe Side by Side", "Xihe Film"
 
 
 def save_side_by_side(results: RunResults, folder: Path, method: str | None = None) -> Path:
@@ -69,6 +69,24 @@ def save_side_by_side(results: RunResults, folder: Path, method: str | None = No
             copy_whole(picture, outputs.picture("side_by_side", frame))
         copy_whole(film, outputs.side_by_side)
     return outputs.side_by_side
+
+
+def save_film(pictures: Mapping[int, Path], size: tuple[int, int], fps: float, path: Path) -> None:
+    """Write `pictures`, by frame and in order, to `path` (.mp4), with each shown until the next.
+
+    Small ones are enlarged by whole pixels; encoders take even numbers of these. UserError if this Blender cannot.
+    """
+    larger = math.ceil(SMALLEST_WIDTH_PX / size[0])
+    larger += larger % 2 if any(side % 2 for side in size) else 0
+    first, last = min(pictures), max(pictures)
+    shown = [pictures[first]]
+    for frame in range(first + 1, last + 1):
+        shown.append(pictures.get(frame, shown[-1]))
+    with sequence(FILM_SCENE, shown, (larger * size[0], larger * size[1]), fps) as (scene, _, strip):
+        strip.transform.scale_x = strip.transform.scale_y = larger
+        strip.transform.filter = "NEAREST"
+        with tempfile.TemporaryDirectory(prefix="xihe_") as temporary:
+            copy_whole(render_film(scene, Path(temporary)), path)
 
 
 def wipe_at(number: int, n: int) -> float:

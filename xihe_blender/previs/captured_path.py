@@ -17,8 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihe_blender.capture.reference_probe import MeasuredLight, open_reference_probe
-from xihe_blender.capture.render import RenderSettings
-from xihe_blender.capture.scanner import sized_for
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import Parameters, as_json, from_json
 from xihe_blender.io.kept_files import kept_json
@@ -27,8 +25,8 @@ from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.kept_session import KeptSession, kept_session
 from xihe_blender.previs.plan import (
-    DEFAULT_SIZE,
     PrevisPlan,
+    captured_size,
     check_is_rendered,
     check_nothing_is_missing,
     made_of,
@@ -76,8 +74,8 @@ def path_plan(scene: bpy.types.Scene, settings: PrevisSettings) -> tuple[PrevisS
     check_is_rendered(scene)
     samples = settings.samples or SAMPLES[settings.preset]
     settings = replace(settings, captured="path", samples=samples, light="sh")
-    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
-    return settings, PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), ())
+    frames = tuple(planned_frames(scene, settings.frames))
+    return settings, PrevisPlan(frames, captured_size(scene, settings), (), ())
 
 
 def capture_path(

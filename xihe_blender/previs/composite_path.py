@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 from xihe_blender.apply.shadow_catchers import triangles_of
 from xihe_blender.compare import methods
-from xihe_blender.compare.film import save_film
 from xihe_blender.compare.methods import Comparer, OverRecording
+from xihe_blender.compare.side_by_side import save_film
 from xihe_blender.io.outputs import write_picture
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.compare_path import surfaces_known

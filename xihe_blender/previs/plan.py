@@ -75,13 +75,18 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
     check_nothing_is_missing(scene)
     frames = planned_frames(scene, settings.frames)
     objects = planned_objects(scene, settings.objects)
-    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
+    size = captured_size(scene, settings)
     with working_scene(scene, "Xihe Plan", RenderSettings(size, samples=1)) as working:
         working.frame_set(frames[0])
         first_view = phone_camera(working)
         named = [(item, named_positions(item, working.view_layers[0].depsgraph)) for item in objects]
     probes = [Probe(name, item.name, place) for item, places in named for name, place in places.items()]
     return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes), first_view)
+
+
+def captured_size(scene: bpy.types.Scene, settings: PrevisSettings) -> tuple[int, int]:
+    """Of the phone's pictures: what was asked for, else DEFAULT_SIZE, upright for a scene that is."""
+    return settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
 
 
 def check_nothing_is_missing(scene: bpy.types.Scene) -> None:

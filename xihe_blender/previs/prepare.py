@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import bpy
 
+from xihe_blender.apply.reflection_pictures import light_called_for
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
@@ -24,7 +25,6 @@ from xihe_blender.jobs import Progress
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
-from xihe_blender.previs.light_called_for import light_called_for
 from xihe_blender.previs.phone_capture import CaptureNeeds, ChosenPhone, choose_phone
 from xihe_blender.previs.plan import PrevisPlan, Probe, compared_frames
 from xihe_blender.previs.sample_count import SampleCount, measure_sample_count

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
+from xihe_blender.apply.reflection_pictures import light_called_for
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
@@ -25,7 +26,6 @@ from xihe_blender.io.run_results import RecordingResult
 from xihe_blender.jobs import Progress
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import each_its_own, plan_render_reuse
-from xihe_blender.previs.light_called_for import light_called_for
 from xihe_blender.previs.phone_capture import choose_phone
 from xihe_blender.previs.plan import PrevisPlan, planned_frames
 from xihe_blender.previs.prepare import PreparedRun

@@ -17,13 +17,13 @@ import numpy as np
 
 from xihe_blender.capture.phone_surfaces import ask_for_surfaces, surfaces_in
 from xihe_blender.capture.render import RenderSettings, working_scene
-from xihe_blender.capture.scanner import first_layer, open_scanner, sized_for
+from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport.costs import BUDGET_S, measure_costs
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.plan import required_effects
 from xihe_blender.previs.phone_capture import CaptureFacts, ChosenPhone, choose_phone, facts_of_capture, simulate_phone
-from xihe_blender.previs.plan import DEFAULT_SIZE, PrevisPlan, Probe, planned_frames
+from xihe_blender.previs.plan import PrevisPlan, Probe, captured_size, planned_frames
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.estimation_positions import estimation_positions
@@ -106,7 +106,7 @@ def plan_phone_effects(
     """
     if not settings.profile.effects and settings.link is None:
         return {}
-    size = settings.size or sized_for(scene, RenderSettings(DEFAULT_SIZE, samples=1)).size
+    size = captured_size(scene, settings)
     probes = tuple(Probe(str(k), "", np.array(position)) for k, position in enumerate(positions))
     plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), probes)
     with scene_kept():

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
+from xihe_blender.apply.reflection_pictures import is_shiny
 from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult, RecordingResult
-from xihe_blender.previs.light_called_for import is_shiny
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount

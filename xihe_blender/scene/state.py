@@ -28,6 +28,12 @@ def users_name(scene: bpy.types.Scene) -> str:
     return name if isinstance(name, str) else scene.name
 
 
+def show_to_camera_alone(item: bpy.types.Object) -> None:
+    """Have no other ray meet `item`, so that it lights nothing, shades nothing, and is reflected in nothing."""
+    for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+        setattr(item, f"visible_{ray}", False)
+
+
 @contextlib.contextmanager
 def scene_kept() -> Iterator[None]:
     """Put back what renders during the block change in the open file, whatever happens in it."""

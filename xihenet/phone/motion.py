@@ -108,7 +108,7 @@ def row_poses(world_from_camera: ArrayLike, motion: CameraMotion, n_rows: int, r
     pose = np.asarray(world_from_camera, np.float64)
     after_s = ((np.arange(n_rows) + 0.5) / n_rows - 0.5) * readout_s
     poses = np.broadcast_to(pose, (n_rows, 4, 4)).copy()
-    poses[:, :3, :3] = _turns(motion.turn_rad_per_s, after_s) @ pose[:3, :3]
+    poses[:, :3, :3] = turns_by(motion.turn_rad_per_s, after_s) @ pose[:3, :3]
     poses[:, :3, 3] += after_s[:, None] * motion.velocity_m_per_s
     return poses
 
@@ -152,12 +152,12 @@ def drift_pose(frame: RgbdFrame, settings: PoseDrift | None, seed: int | Sequenc
     if yaw == 0 and not offset_m.any():
         return frame
     pose = frame.world_from_camera.copy()
-    pose[:3, :3] = _turns(np.array([0.0, 0.0, yaw]), np.ones(1))[0] @ pose[:3, :3]
+    pose[:3, :3] = turns_by(np.array([0.0, 0.0, yaw]), np.ones(1))[0] @ pose[:3, :3]
     pose[:3, 3] += offset_m
     return replace(frame, world_from_camera=pose)
 
 
-def _turns(turn: ArrayF64, shares: ArrayF64) -> ArrayF64:
+def turns_by(turn: ArrayF64, shares: ArrayF64) -> ArrayF64:
     """(N, 3, 3) rotations by `turn` (axis times angle) times each share (Rodrigues)."""
     angle = float(np.linalg.norm(turn))
     if angle == 0:

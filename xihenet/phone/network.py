@@ -157,8 +157,7 @@ class EstimatesUnderWay:
 
     def in_force(self, name: str, time_s: float) -> Request | None:
         """What lights a position at `time_s`: the valid estimate that was asked for last, of those there, or None."""
-        there = [r for r in self._requests.get(name, ()) if r.estimate.is_valid and r.arrival_s <= time_s]
-        return max(there, key=lambda request: request.asked_s) if there else None
+        return next(self._there(name, time_s), None)
 
     def shares(self, name: str, time_s: float, blend_s: float) -> list[tuple[float, Request]]:
         """What lights a position at `time_s` where late estimates take `blend_s` to replace those before: with shares.
