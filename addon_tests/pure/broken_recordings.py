@@ -8,19 +8,32 @@ import json
 import shutil
 import struct
 import zipfile
+from functools import partial
 
 import numpy as np
 from PIL import Image
 
 from addon_tests.pure.frame_makers import png
-from addon_tests.pure.recordings import as_stray, walk
+from addon_tests.pure.recordings import (
+    SMALL,
+    as_nerfstudio,
+    as_plain,
+    as_polycam,
+    as_record3d,
+    as_seven_scenes,
+    as_stray,
+    as_tum,
+    walk,
+)
+from xihenet.exr import exr_attributes, read_exr, write_exr
+from xihenet.recording import SessionRecorder
 from xihenet.records import Intrinsics
 
-SMALL = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
 READ, NOTE = "read", "note: "
 GARBAGE = bytes(range(256)) * 4
 DEEP = "[" * 100_000
 HUGE = "1e400"
+MIRRORED, STRETCHED = np.diag([-1.0, 1, 1, 1]), np.diag([2.0, 2, 2, 1])
 
 
 def put(name, content):
@@ -66,18 +79,22 @@ def folder_in_place_of(name):
     return harm
 
 
+def without_none(entries):
+    return {name: value for name, value in entries.items() if value is not None}
+
+
 def said(name, **entries):
     """JSON in which entries of an object are others; None leaves one out."""
 
     def harm(path):
         content = {**json.loads((path / name).read_text()), **entries}
-        (path / name).write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
+        (path / name).write_text(json.dumps(without_none(content)))
 
     return harm
 
 
-def picture(name, pixels, **options):
-    return lambda path: Image.fromarray(pixels).save(path / name, **options)
+def picture(name, pixels):
+    return lambda path: Image.fromarray(pixels).save(path / name)
 
 
 def other_units(name):
@@ -145,9 +162,7 @@ def member(name, content):
 
 def metadata(**entries):
     def changed(content):
-        return json.dumps(
-            {key: value for key, value in {**json.loads(content), **entries}.items() if value is not None}
-        )
+        return json.dumps(without_none({**json.loads(content), **entries}))
 
     return member("metadata", changed)
 
@@ -483,6 +498,20 @@ PLAIN = {
 # ---------------------------------------------------------------------------------------- Nerfstudio, TUM and 7-Scenes
 
 TRANSFORMS, TRUTH = "transforms.json", "groundtruth.txt"
+
+
+def in_frames(n, **entries):
+    """Other entries of the first `n` frames."""
+
+    def harm(path):
+        content = json.loads((path / TRANSFORMS).read_text())
+        for frame in content["frames"][:n]:
+            frame.update(entries)
+        (path / TRANSFORMS).write_text(json.dumps(content))
+
+    return harm
+
+
 NERFSTUDIO = {
     **of_pictures("images/2.png", "depth/2.png"),
     "empty": (put(TRANSFORMS, ""), "expected JSON"),
@@ -494,6 +523,24 @@ NERFSTUDIO = {
     "a panorama": (said(TRANSFORMS, camera_model="EQUIRECTANGULAR"), "undistort the pictures"),
     "a camera of OpenCV": (said(TRANSFORMS, camera_model="OPENCV"), NOTE + "Times are not known"),
     "a focal length that is NaN": (said(TRANSFORMS, fl_x=float("nan")), "fl_x: expected a number"),
+    "a focal length that is text": (said(TRANSFORMS, fl_x="40"), "fl_x: expected a number"),
+    "a focal length below 0": (said(TRANSFORMS, fl_x=-40.0), "frame 1"),
+    "no size": (said(TRANSFORMS, w=None), "w: expected a number"),
+    "half a pixel": (said(TRANSFORMS, w=0.5), "w: expected a whole number of pixels"),
+    "cut short": (cut(TRANSFORMS, 100), "expected JSON"),
+    "missing": (remove(TRANSFORMS), "no recording that is known"),
+    "no frames": (said(TRANSFORMS, frames=[]), "expected frames, a list with at least one"),
+    "frames are no list": (said(TRANSFORMS, frames={}), "expected frames"),
+    "a frame is a number": (said(TRANSFORMS, frames=[1]), "expected frames"),
+    "no pose": (in_frames(1, transform_matrix=None), "frame 1"),
+    "a pose of three rows": (in_frames(1, transform_matrix=np.eye(4)[:3].tolist()), "frame 1"),
+    "a pose that is not a number": (in_frames(1, transform_matrix=[["x"] * 4] * 4), "frame 1"),
+    "a pose that mirrors": (in_frames(1, transform_matrix=MIRRORED.tolist()), "frame 1"),
+    "a pose that scales": (in_frames(1, transform_matrix=STRETCHED.tolist()), "frame 1"),
+    "no colour": (in_frames(1, file_path=None), "file_path is missing"),
+    "a picture elsewhere": (in_frames(1, file_path="../../etc/passwd"), "lies outside"),
+    "depth elsewhere": (in_frames(1, depth_file_path="/etc/passwd"), "lies outside"),
+    "no depth at all": (in_frames(3, depth_file_path=None), "record with depth"),
 }
 TUM = {
     **of_pictures("rgb/0.033333.png", "depth/0.033333.png", missing="without colour, depth or a pose left out"),
@@ -507,27 +554,103 @@ TUM = {
         NOTE + "1 frame without colour, depth or a pose left out",
     ),
     "a list is a folder": (folder_in_place_of("rgb.txt"), "no recording that is known"),
+    "a short line": (put(TRUTH, "1 2 3\n"), "expected lines of a time and 7 more"),
+    "the only pose is NaN": (put(TRUTH, "1 0 0 0 0 0 0 nan\n"), "tracking was lost in all lines"),
+    "no picture": (put("rgb.txt", "# nothing\n"), "expected lines of a time and 1 more"),
+    "a time that is text": (put("rgb.txt", "soon rgb/1.png\n"), "got ['soon']"),
+    "a picture elsewhere": (put("rgb.txt", "0.0 ../../x.png\n"), "lies outside"),
+    "no depth near": (put("depth.txt", "5 depth/1.png\n"), "no colour picture has depth and a pose"),
 }
 POSE = "frame-000002.pose.txt"
 SEVEN_SCENES = {
     **of_pictures("frame-000002.color.png", "frame-000002.depth.png"),
     "a pose is empty": (put(POSE, ""), "expected four rows"),
     "a pose is garbage": (put(POSE, b"\xff\xfe" + GARBAGE), POSE),
+    "a pose of one row": (put(POSE, "1 0 0 0\n"), POSE),
+    "a pose that is text": (put(POSE, "x " * 16), POSE),
+    "a pose without a last row": (put(POSE, "1 2 3 4\n" * 4), POSE),
     "a pose is NaN": (put(POSE, "nan nan nan nan\n" * 4), "expected finite numbers"),
     "a pose is huge": (put(POSE, "1 0 0 1e400\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"), "expected finite numbers"),
     "a pose mirrors": (put(POSE, "-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"), "it mirrors"),
     "a pose is missing": (remove(POSE), READ),
 }
 
+# -------------------------------------------------------------------------------------------------------- our sessions
+
+SESSION, FRAME = "session.json", "frame_000001.exr"
+
+
+def in_header(**entries):
+    """What the second frame's header says; None leaves an entry out."""
+
+    def harm(folder):
+        said = {**exr_attributes(folder / FRAME), **entries}
+        write_exr(folder / FRAME, read_exr(folder / FRAME), attributes=without_none(said))
+
+    return harm
+
+
+def channels(**entries):
+    def harm(folder):
+        found = {**read_exr(folder / FRAME), **entries}
+        write_exr(folder / FRAME, without_none(found), attributes=exr_attributes(folder / FRAME))
+
+    return harm
+
+
+def as_session(folder, frames):
+    recorder = SessionRecorder(folder)
+    for frame in frames:
+        recorder.record(frame)
+    return folder
+
+
+def no_frames(folder):
+    for path in folder.glob("*.exr"):
+        path.unlink()
+
+
+XIHE = {
+    "no JSON": (put(SESSION, "{"), "session.json"),
+    "a list": (put(SESSION, "[]"), "expected a JSON object"),
+    "another format": (said(SESSION, format="other"), "expected a JSON object with format"),
+    "a later version": (said(SESSION, version=2), "version: expected 1, got 2"),
+    "a negative exposure": (said(SESSION, reference_exposure=-1), "reference_exposure: expected a positive factor"),
+    "a trigger of words": (said(SESSION, trigger={"magic": 1}), "session.json"),
+    "files that are no list": (said(SESSION, files="frame.exr"), "files: expected a list of texts"),
+    "a file elsewhere": (said(SESSION, files=["../x.exr"]), "lies outside"),
+    "a file that is not there": (said(SESSION, files=["frame_000009.exr"]), "frame_000009.exr"),
+    "no frames": (no_frames, "record again"),
+    "an empty frame": (cut(FRAME, 0), FRAME),
+    "half a header": (cut(FRAME, 60), FRAME),
+    "a frame cut short": (cut(FRAME, 900), FRAME),
+    "a folder for a frame": (folder_in_place_of(FRAME), FRAME),
+    "a NaN pose": (in_header(worldFromCamera=np.full((4, 4), np.nan)), "worldFromCamera: expected finite numbers"),
+    "a left-handed pose": (in_header(worldFromCamera=MIRRORED), "it mirrors"),
+    "a pose that scales": (in_header(worldFromCamera=STRETCHED), "without scale or shear"),
+    "no pose": (in_header(worldFromCamera=None), "worldFromCamera"),
+    "a pose of words": (in_header(worldFromCamera="here"), "worldFromCamera"),
+    "no focal length": (in_header(fx=None), "fx"),
+    "a focal length below 0": (in_header(fx=-5.0), FRAME),
+    "no exposure": (in_header(exposure=0.0), "exposure"),
+    "time that is NaN": (in_header(time=float("nan")), "time: expected a finite number"),
+    "a white balance of 0": (in_header(whiteBalance=np.zeros(3)), "white_balance"),
+    "a count of words": (in_header(invalid="range many"), FRAME),
+    "no depth": (channels(Z=None), FRAME),
+    "no red": (channels(R=None), FRAME),
+    "a NaN colour": (channels(G=np.full((24, 32), np.nan, np.float32)), "a colour is NaN"),
+}
+
 SMALL_TUM = Intrinsics(64, 48, 52.5, 52.5, 32.0, 24.0)
 SMALL_SCENES = Intrinsics(64, 48, 58.5, 58.5, 32.0, 24.0)
-CASES = {
-    "Record3D": (RECORD3D, SMALL),
-    "Stray Scanner": (STRAY, SMALL),
-    "Polycam": (POLYCAM, SMALL),
-    "plain folder": (PLAIN, SMALL),
-    "Nerfstudio": (NERFSTUDIO, SMALL),
-    "TUM RGB-D": (TUM, SMALL_TUM),
-    "7-Scenes": (SEVEN_SCENES, SMALL_SCENES),
+FORMATS = {
+    "Record3D": (as_record3d, SMALL, RECORD3D),
+    "Stray Scanner": (partial(as_stray, has_intrinsics=False), SMALL, STRAY),
+    "Polycam": (as_polycam, SMALL, POLYCAM),
+    "plain folder": (as_plain, SMALL, PLAIN),
+    "Nerfstudio": (as_nerfstudio, SMALL, NERFSTUDIO),
+    "TUM RGB-D": (as_tum, SMALL_TUM, TUM),
+    "7-Scenes": (as_seven_scenes, SMALL_SCENES, SEVEN_SCENES),
+    "Xihe session": (as_session, Intrinsics(32, 24, 20.0, 20.0, 16.0, 12.0), XIHE),
 }
-"""By format: cases, and intrinsics for a sound recording of 64x48 pixels."""
+"""What writes a sound recording of each format, intrinsics for its pictures, and cases."""

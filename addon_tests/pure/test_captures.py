@@ -1,11 +1,9 @@
-"""Recordings in the layouts of others: what is read is what was seen, and what is broken is one line."""
+"""Recordings in the layouts of others: what is read is what was seen. Broken ones are in test_broken_captures.py."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from addon_tests.pure.recordings import (
     LAYOUTS,
@@ -162,100 +160,3 @@ def test_a_quaternion_is_a_rotation_whatever_its_length(seed):
     rotation = rotation_of(quaternion)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1) and np.allclose(rotation, rotation_of(-quaternion))
-
-
-def change(content, **entries):
-    return {**content, **entries}
-
-
-def first(content, **entries):
-    frames = [{**content["frames"][0], **entries}, *content["frames"][1:]]
-    return {**content, "frames": frames}
-
-
-BROKEN = {
-    "no frames": (lambda c: change(c, frames=[]), "expected frames, a list with at least one"),
-    "frames are no list": (lambda c: change(c, frames={}), "expected frames"),
-    "a frame is a number": (lambda c: change(c, frames=[1]), "expected frames"),
-    "no size": (lambda c: change(c, w=None), "w: expected a number"),
-    "half a pixel": (lambda c: change(c, w=0.5), "w: expected a whole number of pixels"),
-    "no focal length": (lambda c: change(c, fl_x="40"), "fl_x: expected a number"),
-    "negative focal length": (lambda c: change(c, fl_x=-40.0), "frame 1"),
-    "no pose": (lambda c: first(c, transform_matrix=None), "frame 1"),
-    "a pose of three rows": (lambda c: first(c, transform_matrix=np.eye(4)[:3].tolist()), "frame 1"),
-    "a pose that is not a number": (lambda c: first(c, transform_matrix=[["x"] * 4] * 4), "frame 1"),
-    "a left-handed pose": (lambda c: first(c, transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist()), "frame 1"),
-    "a pose that scales": (lambda c: first(c, transform_matrix=np.diag([2.0, 2, 2, 1]).tolist()), "frame 1"),
-    "no colour": (lambda c: first(c, file_path=None), "file_path is missing"),
-    "a picture elsewhere": (lambda c: first(c, file_path="../../etc/passwd"), "lies outside"),
-    "depth elsewhere": (lambda c: first(c, depth_file_path="/etc/passwd"), "lies outside"),
-    "no depth at all": (
-        lambda c: change(c, frames=[{**f, "depth_file_path": None} for f in c["frames"]]),
-        "record with depth",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", BROKEN)
-def test_what_is_broken_is_one_line_and_nothing_is_written(tmp_path, capfd, case):
-    broken, words = BROKEN[case]
-    as_nerfstudio(tmp_path / "in", walk(LAYOUTS["Nerfstudio"][1], 2))
-    path = tmp_path / "in" / "transforms.json"
-    path.write_text(json.dumps(broken(json.loads(path.read_text()))))
-    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 2
-    said = capfd.readouterr().err
-    assert words in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
-
-
-def damaged_picture(folder):
-    (folder / "images" / "2.png").write_bytes(b"no picture")
-
-
-def cut_json(folder):
-    path = folder / "transforms.json"
-    path.write_text(path.read_text()[:100])
-
-
-def depth_of_eight_bits(folder):
-    Image.fromarray(np.zeros((48, 64), np.uint8)).save(folder / "depth" / "1.png")
-
-
-def no_recording(folder):
-    (folder / "transforms.json").unlink()
-
-
-@pytest.mark.parametrize("harm", [damaged_picture, cut_json, depth_of_eight_bits, no_recording])
-def test_damaged_files_are_one_line_and_nothing_is_written(tmp_path, capfd, harm):
-    as_nerfstudio(tmp_path / "in", walk(LAYOUTS["Nerfstudio"][1], 2))
-    harm(tmp_path / "in")
-    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 2
-    said = capfd.readouterr().err
-    assert said.startswith("xihe: ") and said.count("\n") == 1 and not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("groundtruth.txt", "1 2 3\n"),
-        ("groundtruth.txt", "1 0 0 0 0 0 0 nan\n"),
-        ("groundtruth.txt", "0.0 0 0 0 0 0 0 0\n"),
-        ("rgb.txt", "# nothing\n"),
-        ("rgb.txt", "soon rgb/1.png\n"),
-        ("rgb.txt", "0.0 ../../x.png\n"),
-        ("depth.txt", "5 depth/1.png\n"),
-    ],
-)
-def test_broken_lists_are_one_line(tmp_path, capfd, name, text):
-    as_tum(tmp_path / "in", walk(LAYOUTS["TUM RGB-D"][1], 1))
-    (tmp_path / "in" / name).write_text(text)
-    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 2
-    assert capfd.readouterr().err.count("\n") == 1 and not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("text", ["", "1 0 0 0\n", "x " * 16, "1 2 3 4\n" * 4])
-def test_a_broken_pose_is_one_line(tmp_path, capfd, text):
-    as_seven_scenes(tmp_path / "in", walk(LAYOUTS["7-Scenes"][1], 1))
-    (tmp_path / "in" / "frame-000001.pose.txt").write_text(text)
-    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 2
-    said = capfd.readouterr().err
-    assert "frame-000001.pose.txt" in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
