@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-CLIPPED_FROM = 0.995
-"""An encoded colour is clipped where a channel is at least that: what is shown may be brighter."""
+CLIPPED_FROM = 253.5 / 255
+"""An encoded colour is clipped where a channel is at least that: what is shown may be brighter. Between two codes of 8
+bits, so that a colour that is rounded to one is clipped as it was."""
 
 
 def _clipped_floats(values: ArrayLike) -> NDArray[Any]:

@@ -60,7 +60,7 @@ def merged_anchor_by_anchor(old, new):
         near, far = sorted((float(old.distance_m[anchor]), float(new.distance_m[anchor])))
         if not (old.is_set[anchor] and new.is_set[anchor] and far <= SAME_SURFACE * near):
             continue
-        if len({bool(max(cloud.srgb[anchor]) >= 0.995) for cloud in (old, new)}) == 2:
+        if len({bool(max(cloud.srgb[anchor]) >= 253.5 / 255) for cloud in (old, new)}) == 2:
             continue
         facing = [0.0 if cloud.surfaces is None else float(cloud.surfaces.facing[anchor]) for cloud in (old, new)]
         before, after = (min(max(cosine + 0.3, 0.2), 1.0) for cosine in facing)

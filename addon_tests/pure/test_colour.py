@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.colour import CLIPPED_FROM, linear_to_srgb, srgb_to_linear
 
 RNG_SEED = 11
 
@@ -14,6 +14,12 @@ def test_every_8_bit_code_survives_a_round_trip(dtype):
     encoded = linear_to_srgb(srgb_to_linear((codes / 255).astype(dtype)))
     assert encoded.dtype == dtype
     assert np.array_equal(np.rint(encoded * 255), codes)
+
+
+def test_a_colour_rounded_to_8_bits_is_clipped_as_it_was():
+    colours = np.linspace(0.98, 1, 10_001, dtype=np.float32)
+    rounded = np.rint(colours * 255) / np.float32(255)
+    assert np.array_equal(rounded >= CLIPPED_FROM, colours >= CLIPPED_FROM)
 
 
 def test_linear_light_survives_a_round_trip():
