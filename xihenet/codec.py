@@ -6,8 +6,8 @@ of `AnchorSurfaces` in steps of 1/127; 0 says that it is unknown or at a right a
 nobody looked. The rest of the surfaces stays with the sender, since no estimator asks it.
 
 `uint16_float16_facing_stripped` is for a phone whose light must be that of its own estimator: colours that were scaled
-to another exposure are no 8-bit codes any more, and rounding them moves the light of `lattice` by up to 2.3e-4 SHC RMSE.
-Colours and facing have 16 bits there.
+to another exposure are no 8-bit codes any more, and rounding them moves the light of `lattice` by up to 2.3e-4 SHC
+RMSE. Colours and facing have 16 bits there.
 
 Colours are sRGB-encoded, distances in metres. The payload carries no header: both sides know the method and the number
 of anchors from their session. Formats without an index say "not set" with distance 0, so encoding clips the distances

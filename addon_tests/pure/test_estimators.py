@@ -1,5 +1,7 @@
 """What every estimator promises, and what each of them gives."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from addon_tests.pure.made import frame_of
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext
-from xihenet.records import UnitSphereCloud
+from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
 N = 320
@@ -30,14 +32,38 @@ def frame(ambient, exposure=1.0):
     return frame_of(np.ones((1, 1)), ambient=ambient, exposure=exposure)
 
 
-@pytest.mark.parametrize("name", ["ambient", "projection", "truth"])
+@pytest.mark.parametrize("name", estimators.names())
+def test_every_estimator_says_what_it_is_and_asks_for_what_there_is(name):
+    assert estimators.label(name) and " " in estimators.summary(name) and not estimators.summary(name).endswith(".")
+    estimator = estimators.load(name, N)
+    assert estimator.name == name and estimator.n_anchors == N and estimator.target == "ldr"
+    assert estimator.needs <= {part.name for part in fields(EstimateContext)}
+
+
+@pytest.mark.parametrize("name", estimators.names())
+@pytest.mark.parametrize("target", ["ldr", "hdr"])
+def test_every_estimator_gives_finite_light_of_whatever_was_seen_and_the_same_in_a_batch(name, target):
+    estimator, half = estimators.load(name, N, target), LATTICE.directions[:, 2] > 0
+    clouds = [constant_cloud(True), constant_cloud(half), UnitSphereCloud.empty(N)]
+    points = PointCloud(np.float32(2.0 * LATTICE.directions), clouds[0].srgb)
+    context = EstimateContext(frame([0.1, 0.2, 0.3]), points, np.zeros(3), constant_sh(RADIANCE), 1.0)
+    for cloud in clouds:
+        light = estimator.estimate(cloud, context)
+        assert light.shape == (9, 3) and np.isfinite(light).all()
+    if estimator.needs <= {"frame"}:
+        arrays = (np.array([getattr(cloud, part) for cloud in clouds]) for part in ("srgb", "distance_m", "is_set"))
+        singles = [estimator.estimate(cloud) for cloud in clouds]
+        np.testing.assert_allclose(estimator.estimate_batch(*arrays), singles, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", estimators.names())
 def test_a_cloud_of_another_lattice_is_refused(name):
     with pytest.raises(ValueError, match="made for 320 anchors, got a cloud of 7"):
         estimators.load(name, N).estimate(UnitSphereCloud.empty(7))
 
 
 def test_an_unknown_name_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="choose one of ambient, projection"):
+    with pytest.raises(ValueError, match=f"choose one of {', '.join(estimators.names())}$"):
         estimators.load("magic")
 
 

@@ -164,7 +164,7 @@ def test_only_what_spreads_the_work_knows_dask():
 def test_the_report_never_asks_for_blender():
     readable = ("budget_results", "json_records", "look_results", "outputs", "placement_results", "run_results")
     of_io = (f"xihe_blender.io.{name}" for name in readable)
-    own = ("xihe_blender.report", *of_io, "xihenet.formats", "xihenet.invalid", "xihenet.svg")
+    own = ("xihe_blender.report", *of_io, "xihenet.estimators", "xihenet.formats", "xihenet.invalid", "xihenet.svg")
     report = list((ROOT / "xihe_blender" / "report").glob("*.py"))
     assert "page.py" in [path.name for path in report]
     for path in (*report, ROOT / "xihenet" / "formats.py", ROOT / "xihenet" / "svg.py"):
@@ -186,6 +186,7 @@ def said_by_python(code: str) -> str:
     ("code", "heavy"),
     [
         pytest.param("import xihe_blender, xihe_blender.errors", {"torch", "OpenEXR", "numpy", "bpy"}, id="the add-on"),
+        pytest.param("import xihe_blender.report.page", {"numpy", "bpy"}, id="the report"),
         pytest.param(
             "import xihenet.controller, xihenet.metrics, xihenet.estimators as e; [e.load(n) for n in e.names()]",
             {"scipy", "torch", "fpsample", "OpenEXR", "bpy"},

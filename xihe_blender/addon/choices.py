@@ -57,17 +57,6 @@ OVERRIDES = (
     ("ON", "On", "Always simulated, even if the scene does not need it"),
     ("OFF", "Off", "Never simulated, even if the scene needs it"),
 )
-_ESTIMATORS = {
-    "ambient": (
-        "Ambient",
-        "Average brightness and colour, the same from all directions, as a phone's light sensor reports",
-    ),
-    "projection": ("Projection", "Least-squares fit to the surroundings seen so far; no learning"),
-    "pointar": ("PointAR", "Neural network on randomly chosen points"),
-    "xihenet": ("XiheNet", "The paper's neural network on unit-sphere samples"),
-    "lattice": ("Lattice", "Neural network on fixed directions; takes about a millisecond"),
-    "truth": ("Ground Truth", "No estimate: the true light rendered at each object, the best that can be reached"),
-}
 _NETWORKS = {
     "wifi": ("Wi-Fi", "An edge server over a university's Wi-Fi"),
     "home": ("Home Wi-Fi", "An edge server over Wi-Fi at home"),
@@ -102,9 +91,9 @@ def platform_items(_owner: object, _context: bpy.types.Context | None) -> list[I
 
 @functools.cache
 def _estimators() -> list[Item]:
-    from xihenet.estimators import names
+    from xihenet.estimators import label, names, summary
 
-    return [_item(name, *_ESTIMATORS.get(name, (name, "An estimator")), "LIGHT_SUN") for name in names()]
+    return [_item(name, label(name), summary(name), "LIGHT_SUN") for name in names()]
 
 
 @functools.cache

@@ -15,7 +15,7 @@ from xihenet.phone import profile_names
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
-    estimators = f"{arguments.ESTIMATORS}; default: lattice,projection,ambient,truth"
+    estimators = f"{arguments.ESTIMATORS}; default: {','.join(DEFAULT_ESTIMATORS)}"
     samples = "samples of every capture and light probe; default: as many as the preset's noise target needs"
     add("scenes SCENE.blend", "scenes with animated cameras", Path, nargs="+")
     add("--out DIR", "folder of the batch; a stopped batch in it is resumed", Path, required=True)

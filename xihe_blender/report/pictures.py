@@ -17,21 +17,13 @@ from xihe_blender.report.document import png_url
 from xihe_blender.report.invalid import format_kept
 from xihe_blender.report.timeline import KEPT, Timeline, fired_probes, format_moment, format_trigger, reason_shape
 from xihe_blender.report.values import code, escape, rmse_of
+from xihenet import estimators
 from xihenet.formats import format_count, format_list, format_number, format_percent, format_runs
 from xihenet.svg import icon
 
 MAX_FRAMES = 16
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _SHOWN_MISSING = 12
-
-METHOD_MEANINGS = {
-    "ambient": "One colour from every direction, as a phone's ambient light sensor reports.",
-    "projection": "Least-squares fit to what the camera has seen so far; no learning.",
-    "pointar": "Uniform random samples and a point-cloud network.",
-    "xihenet": "Unit-sphere samples and a point-cloud network, as in the paper.",
-    "lattice": "A neural network on fixed directions around the object.",
-    "truth": "The light probe rendered at the object's position, as spherical harmonics.",
-}
 
 
 def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
@@ -110,7 +102,12 @@ def _kind_meaning(kind: str, error_full_scale: float) -> str:
         return "What the phone's camera recorded: the room without the virtual objects."
     if kind == "ground_truth":
         return "The room and the virtual objects, path-traced together."
-    return METHOD_MEANINGS.get(kind, "The virtual objects lit by this estimator.")
+    return method_meaning(kind) or "The virtual objects lit by this estimator."
+
+
+def method_meaning(method: str) -> str:
+    """What an estimator is, in one sentence; empty for one that is not registered, as a run of another version has."""
+    return f"{estimators.summary(method)}." if method in estimators.names() else ""
 
 
 # ---------------------------------------------------------------------------------------------- choosing a frame

@@ -17,7 +17,7 @@ from xihe_blender.io.run_results import EffectResult, Metrics, PhoneResult, Prob
 from xihe_blender.report.document import block, table
 from xihe_blender.report.invalid import HEAD as INVALID_HEAD
 from xihe_blender.report.invalid import format_undefined, invalid_otherwise, invalid_rows
-from xihe_blender.report.pictures import METHOD_MEANINGS
+from xihe_blender.report.pictures import method_meaning
 from xihe_blender.report.timeline import Timeline, format_trigger
 from xihe_blender.report.values import closeness, code, escape, format_closeness, mean
 from xihenet.formats import (
@@ -91,7 +91,7 @@ def _comparison(results: RunResults) -> str:
 
 def _method_name(estimator: str, method: str) -> str:
     tag = " (chosen)" if method == estimator else ""
-    return f'{code(method)}{tag}<span class="way">{METHOD_MEANINGS.get(method, "")}</span>'
+    return f'{code(method)}{tag}<span class="way">{method_meaning(method)}</span>'
 
 
 def _metric_column(comparison: Mapping[str, Metrics], methods: Sequence[str], name: str, way: str) -> list[str]:

@@ -1,26 +1,58 @@
 """Which estimators are there, and how do I get one?
 
-The registry is a table of names and where each lives; a module is imported when it is asked for, so listing the names
-needs nothing installed. A new estimator is one file and one row.
+The registry is a table of names, where each lives, and what panel and report say of it. A module is imported when it
+is asked for, so that the report, which knows no NumPy, can read the table. A new estimator is one file and one row.
 """
 
 from __future__ import annotations
 
 import importlib
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from xihenet.estimators.base import EstimateContext, Estimator, Target
+if TYPE_CHECKING:
+    from xihenet.estimators.base import EstimateContext, Estimator, Target
 
-__all__ = ["DEFAULT", "EstimateContext", "Estimator", "Target", "load", "names"]
+__all__ = ["DEFAULT", "EstimateContext", "Estimator", "Target", "label", "load", "names", "summary"]
+
+
+class _Row(NamedTuple):
+    module: str  # of this package
+    class_name: str
+    label: str
+    summary: str
+
 
 _REGISTRY = {
-    "ambient": ("xihenet.estimators.ambient", "Ambient"),
-    "projection": ("xihenet.estimators.projection", "Projection"),
-    "pointar": ("xihenet.estimators.pointconv", "PointAR"),
-    "xihenet": ("xihenet.estimators.pointconv", "XiheNet"),
-    "lattice": ("xihenet.estimators.lattice", "Lattice"),
-    "truth": ("xihenet.estimators.truth", "Truth"),
+    "ambient": _Row(
+        "ambient",
+        "Ambient",
+        "Ambient",
+        "Average brightness and colour, the same from all directions, as a phone's light sensor reports",
+    ),
+    "projection": _Row(
+        "projection",
+        "Projection",
+        "Projection",
+        "Least-squares fit to the surroundings seen so far; no learning",
+    ),
+    "pointar": _Row("pointconv", "PointAR", "PointAR", "Neural network on randomly chosen points"),
+    "xihenet": _Row("pointconv", "XiheNet", "XiheNet", "The paper's neural network on unit-sphere samples"),
+    "lattice": _Row("lattice", "Lattice", "Lattice", "Neural network on fixed directions; takes about a millisecond"),
+    "truth": _Row(
+        "truth",
+        "Truth",
+        "Ground Truth",
+        "No estimate: the true light rendered at each object, the best that can be reached",
+    ),
 }
 DEFAULT = "lattice"
+
+
+def __getattr__(name: str) -> Any:
+    """What is offered here of `base`, which needs NumPy."""
+    if name in ("EstimateContext", "Estimator", "Target"):
+        return getattr(importlib.import_module(f"{__name__}.base"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def names() -> list[str]:
@@ -28,10 +60,20 @@ def names() -> list[str]:
     return list(_REGISTRY)
 
 
+def label(name: str) -> str:
+    """What people read for the name of an estimator."""
+    return _REGISTRY[name].label
+
+
+def summary(name: str) -> str:
+    """What an estimator is, in one sentence without its full stop."""
+    return _REGISTRY[name].summary
+
+
 def load(name: str, n_anchors: int = 1280, target: Target = "ldr") -> Estimator:
     """The estimator of that name, for clouds of `n_anchors`; ValueError for an unknown name or illegal other values."""
     if name not in _REGISTRY:
         raise ValueError(f"there is no estimator {name!r}; choose one of {', '.join(names())}")
-    module, class_name = _REGISTRY[name]
-    estimator: Estimator = getattr(importlib.import_module(module), class_name)(n_anchors, target)
-    return estimator
+    row = _REGISTRY[name]
+    kind: type[Estimator] = getattr(importlib.import_module(f"{__name__}.{row.module}"), row.class_name)
+    return kind(n_anchors, target)
