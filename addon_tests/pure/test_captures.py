@@ -22,7 +22,7 @@ from addon_tests.pure.recordings import (
 from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
 from xihenet import estimators
-from xihenet.captures import open_capture
+from xihenet.captures import READERS, open_capture
 from xihenet.captures.values import rotation_of
 from xihenet.replay import never_in_view, replay
 
@@ -35,6 +35,10 @@ def recorded(request, tmp_path_factory):
     write, intrinsics = LAYOUTS[request.param]
     frames = walk(intrinsics)
     return request.param.split(",")[0], frames, write(tmp_path_factory.mktemp("recorded"), frames)
+
+
+def test_every_format_is_written_by_a_test_and_read_back():
+    assert {name.split(",")[0] for name in LAYOUTS} == set(READERS) - {"Xihe session"}
 
 
 def test_what_is_read_is_what_was_seen(recorded):

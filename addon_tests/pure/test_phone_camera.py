@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from xihenet.camera import encode_exposed, valid_plane_depth
-from xihenet.phone import CameraMotion, PhoneCamera, PhoneProfile, SurfaceFacts, load_profile, profile_names
+from xihenet.phone import EFFECTS, CameraMotion, PhoneCamera, PhoneProfile, SurfaceFacts, load_profile, profile_names
 from xihenet.phone.depth import RangeLimits
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -45,7 +45,20 @@ def test_a_phone_with_nothing_on_gives_the_very_frame(name):
     assert PhoneCamera(load_profile(name), 3, effects=()).see(frame, motion=MOTION)[0] is frame
 
 
-@pytest.mark.parametrize("name", ["ipad_pro_lidar", "iphone_lidar", "azure_kinect"])
+@pytest.mark.parametrize("effect", [effect for effect in EFFECTS if effect != "frame_rate"])
+def test_every_effect_has_its_turn(effect):
+    """All but the frame rate, which decides what frames there are."""
+    profile = next(one for one in map(load_profile, profile_names()) if effect in one.effects)
+    camera, frame = PhoneCamera(profile, 3, effects={effect}), frame_of(6)
+    none, all_of_it = np.zeros((48, 64), np.float32), np.ones((48, 64), np.float32)
+    turned_away = np.broadcast_to(np.float32([1, 0, 0]), (48, 64, 3))
+    facts = SurfaceFacts(turned_away, roughness=none, transmission=all_of_it, reflectance=none)
+    fast = CameraMotion(np.array([2.0, 0, 0]), np.array([0, 0, 6.0]))
+    seen, _ = camera.see(frame, facts=facts, motion=fast, track=followed(camera))
+    assert as_bytes(seen) != as_bytes(frame)
+
+
+@pytest.mark.parametrize("name", profile_names())
 @pytest.mark.parametrize("size", [(48, 64), (1, 1), (1, 7), (5, 1)])
 def test_any_effect_alone_changes_nothing_that_is_not_its_own(name, size):
     profile, frame = load_profile(name), frame_of(2, size)

@@ -11,7 +11,11 @@ import pytest
 from addon_tests.pure.recordings import SMALL, looking, seen
 from xihe_blender.cli.document import document
 from xihe_blender.cli.main import _parser
-from xihenet import __version__
+from xihe_blender.io.run_results import METRICS
+from xihenet import __version__, estimators
+from xihenet.captures import READERS
+from xihenet.light.platforms import PLATFORMS
+from xihenet.phone import LINKS, PHONE_EFFECTS, profile_names
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -165,6 +169,26 @@ def test_the_index_names_every_page_once():
     linked = [link for link in links_of((ROOT / "docs/index.md").read_text(encoding="utf-8")) if "/" not in link]
     pages = [link for link in linked if link.endswith(".md")]
     assert sorted(pages) == sorted(page.name for page in DOCS if page.name != "index.md")
+
+
+@pytest.mark.parametrize(
+    ("page", "names"),
+    [
+        ("previs.md", estimators.names()),
+        ("phone.md", [*profile_names(), *LINKS, *PHONE_EFFECTS]),
+        ("platforms.md", PLATFORMS),
+        ("results.md", METRICS),
+    ],
+)
+def test_a_page_names_all_that_can_be_chosen_or_read(page, names):
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    assert [name for name in names if f"`{name}`" not in text] == []
+
+
+def test_the_page_on_recordings_names_every_format():
+    text = (ROOT / "docs/captures.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| (?:a )?([^,|]+?)(?:,[^|]*)? \|", text.split("## What is read")[1], re.MULTILINE)
+    assert set(READERS) - {"Xihe session"} <= set(listed) and "our own" in listed
 
 
 def test_the_page_of_the_command_line_is_made_from_the_parsers():

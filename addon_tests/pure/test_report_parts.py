@@ -3,6 +3,7 @@
 import itertools
 import re
 from html import escape
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,13 +12,20 @@ import xihe_blender.report.page as report
 from addon_tests.pure import runs
 from xihe_blender.cli.previs import format_summary
 from xihe_blender.io.json_records import from_json
-from xihe_blender.io.run_results import ComparedFrame, Metrics, RunResults
+from xihe_blender.io.run_results import METRICS, ComparedFrame, Metrics, RunResults
+from xihe_blender.report import tables
 from xihe_blender.report.document import SCRIPT, STYLE, document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
 from xihe_blender.report.tables import numbers_section
-from xihe_blender.report.timeline import Timeline
+from xihe_blender.report.timeline import REASONS, Timeline
 from xihe_blender.report.values import closeness, format_closeness, too_small_to_judge
 from xihenet.formats import format_percent
+from xihenet.records import TriggerReason
+
+
+def test_every_metric_is_a_column_and_every_reason_to_estimate_has_words():
+    assert [name for name, _, _ in tables.METRICS] == list(METRICS)
+    assert set(REASONS) == {*get_args(TriggerReason)} - {"none"}
 
 
 def test_a_page_runs_no_script_but_its_own():
