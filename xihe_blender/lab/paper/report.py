@@ -7,18 +7,20 @@ figures as hollow marks on it.
 from __future__ import annotations
 
 import itertools
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from xihe_blender.lab.paper.records import Row, Study, StudyResult, Work
+from xihe_blender.lab.paper.tables import LIST_HEAD, table_lines
 from xihe_blender.report.document import block, document, png_url, table
 from xihe_blender.report.values import code, escape
 from xihenet import svg
 from xihenet.formats import DASH, format_count, format_duration, format_list, format_number
 
 LAB_STYLE = Path(__file__).parents[1] / "lab.css"
-HEAD = ("what", "ours", "95 % interval", "cases", "the paper", "work", "what is the same")
+HEAD = (*LIST_HEAD, "what is the same")
 SHAPES = tuple(svg.SHAPES)
 HEIGHT_PX = 260
 WORDS: dict[Work, str] = {
@@ -48,8 +50,8 @@ def _lead(results: Sequence[StudyResult]) -> str:
     rows = [row for one in results for row in one.rows]
     works = Counter(row.work for row in rows if row.paper is not None)
     counts = format_list([f"{n} {WORDS[work]}" for work, n in works.items()])
-    made = f"{format_count(len(rows), 'figure')}, by {len(results)} of the evaluation's tables and figures"
-    return f"{made}. Of those that the paper has as well: {counts or 'none'}."
+    made = f"{format_count(len(rows), 'figure')} for {len(results)} of its tables and figures"
+    return f"{made}. The paper gives {sum(works.values())} of them: {counts}." if works else f"{made}."
 
 
 def _how(results: Sequence[StudyResult], command: str) -> str:
@@ -139,30 +141,35 @@ def paper_markdown(studies: Sequence[Study], results: Sequence[StudyResult], com
 def _markdown_lines(studies: Sequence[Study], results: dict[str, StudyResult], command: str) -> Iterator[str]:
     yield from (f"# {TITLE}", "")
     yield from (
-        "Tables and figures of the evaluation in Xihe (Zhao and Guo, MobiSys 2021) that a simulation can answer, "
-        f"measured with our rooms, networks and server. {_lead(list(results.values()))} "
-        "[How this differs from the paper](differences.md).",
+        "What a simulation can answer of the evaluation in Xihe (Zhao and Guo, MobiSys 2021), measured with our rooms, "
+        f"networks and server: {_lead(list(results.values()))} [How this differs from the paper](differences.md).",
         "",
     )
     yield from ("```sh", command, "```", "")
     days = sorted({one.measured_on for one in results.values()})
     machines = sorted({one.machine for one in results.values()})
-    yield from (f"This page was made by that command. Measured on {format_list(days)} on {format_list(machines)}.", "")
-    yield from ("Intervals are 95 % by bootstrap over cases, or over rooms where cases of a room are alike.", "")
+    yield from (f"That command makes this page. Measured on {format_list(days)} on {format_list(machines)}.", "")
+    yield from (
+        "In brackets stand the 95 % interval, by bootstrap over cases or over rooms where cases of a room are alike, "
+        "and the paper's figure. In italics stands what all figures of a table share: their unit, their number of "
+        "cases, and how they compare with the paper's (*same work*; the same on *other data* or an *other machine*; "
+        "*cannot be compared*). `--only NAME` measures one study alone; its name stands below the heading.",
+        "",
+    )
     for study in studies:
         if study.name in results:
             yield from _markdown_of(study, results[study.name])
 
 
 def _markdown_of(study: Study, result: StudyResult) -> Iterator[str]:
-    yield from (f"## {study.title}", "", f"`--only {study.name}`. {study.paper_did}", "")
+    yield from (f"## {study.title}", "", f"`{study.name}`. {study.paper_did}", "")
     if result.failed_because:
         yield from (f"Could not be measured: {result.failed_because}.", "")
         return
-    head = HEAD[:-1]
-    yield from (f"| {' | '.join(head)} |", "| --- " * len(head) + "|")
-    yield from (f"| {' | '.join(_cells(row)[:-1])} |" for row in result.rows)
-    yield ""
-    # Once where several rows share it.
-    yield from (f"- {sentence}" for sentence in dict.fromkeys(row.sentence for row in result.rows))
+    yield from table_lines(result.rows, lambda row: _cells(row)[:-1])
+    said: list[str] = []
+    for words in dict.fromkeys(row.sentence for row in result.rows):
+        new = [one for one in re.split(r"(?<=\.) (?=[A-Z])", words) if one not in said]
+        yield from [f"- {' '.join(new)}"] if new else []
+        said += new
     yield ""

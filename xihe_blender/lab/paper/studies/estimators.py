@@ -49,12 +49,12 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     errors[FARTHEST] = _point_errors(found, 0, is_far=True)
     for name, each in errors.items():
         of_all = measured(each, rng, groups=rooms)
-        yield Row(name, "SHC RMSE", *of_all, "other data", ERROR, PAPER.get(name), cases)
+        yield Row(f"{name}: error", "SHC RMSE", *of_all, "other data", ERROR, PAPER.get(name), cases)
     for name, each in errors.items():
         if name != MEAN:
             over = measured(np.stack([each, of_mean], axis=1), rng, groups=rooms, statistic=ratio_of_means)
             paper = PAPER[name] / PAPER[MEAN] if name in PAPER else None
-            yield Row(f"{name} over the mean predictor", "times", *over, "other data", RATIO, paper, cases)
+            yield Row(f"{name}: over the mean predictor", "times", *over, "other data", RATIO, paper, cases)
     spread = measured([run.mean() for run in drawn], rng, statistic=np.std)
     yield Row("pointar, spread over drawings", "SHC RMSE", *spread, "cannot be compared", SEEDS, None, "drawings")
     yield from _throughput(options)
