@@ -131,7 +131,10 @@ def test_extras_that_the_docs_install_exist():
     assert named <= set(project["optional-dependencies"])
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda page: page.name)
+OTHERS = [ROOT / name for name in ("CHANGELOG.md", "xihenet/weights/README.md", "blend_scenes/README.md")]
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHERS], ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_to_files_and_headings_that_exist(page):
     broken = [link for link in links_of(page.read_text(encoding="utf-8")) if not is_found(page, link)]
     assert not broken
