@@ -64,8 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     megapixels = f"{MOST_PIXELS // 10**6} megapixels at most"
     dering = (
-        "make the light fit to be looked at, nowhere negative, by smoothing each colour as little as needed: changes 1 "
-        "light of lattice in 5 and costs 0 percent of error; with --target hdr 1 in 2, and up to 1 percent"
+        "for a light to look at: smooth each colour just enough that no direction is negative; changes half of the "
+        "lights of lattice, and their error by 1 percent at most"
     )
     out = "folder for estimate.json and a picture of each light: its panorama and three lit spheres"
     others = one_of(name for name in estimators.names() if name != "truth")
