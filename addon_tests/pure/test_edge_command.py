@@ -54,7 +54,6 @@ def test_a_server_that_is_killed_and_started_again_costs_no_light():
     [
         (["--estimator", "truth"], "choose another estimator"),
         (["--estimator", "magic"], "choose one of ambient"),
-        (["--estimator", "ambient", "--device", "cuda"], "--device"),
         (["--sizes", "0"], "--sizes: expected numbers from 1 to 2048"),
         (["--port", "70000"], "--port: expected 0 to 65535"),
         (["--expire", "0"], "expected more than 0"),
@@ -91,6 +90,13 @@ def test_without_redis_py_the_extra_is_named(capfd, monkeypatch):
     monkeypatch.setitem(sys.modules, "redis", None)
     assert main(["serve", "--store", "redis://127.0.0.1:9/0"]) == 2
     assert "--store needs redis-py: pip install 'xihe-blender[edge]'" in capfd.readouterr().err
+
+
+def test_without_torch_the_extra_is_named(capfd, monkeypatch):
+    monkeypatch.delitem(sys.modules, "xihenet.edge.torch_networks", raising=False)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert main(["serve", "--device", "cuda"]) == 2
+    assert "--device cuda needs torch: pip install 'xihe-blender[edge,train]'" in capfd.readouterr().err
 
 
 def test_a_replay_over_the_service_is_the_local_one(tmp_path, capfd):
