@@ -11,13 +11,13 @@ quarter, which no frame says. The error is SHC RMSE against the rendered light p
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
 import numpy as np
+from given import paths
 
 from xihe_blender.io.exr import read_radiance
 from xihenet import estimators
@@ -82,8 +82,9 @@ def errors(folder: Path) -> Iterator[dict[str, float]]:
 
 
 def main() -> None:
+    folders = paths(__doc__, "ROOM")
     print("| recording | locked | ignored | followed | followed / locked | gains off by |\n|" + " --- |" * 6)
-    for folder in map(Path, sys.argv[1:]):
+    for folder in folders:
         walks = list(errors(folder))
         mean = {name: float(np.mean([one[name] for one in walks])) for name in walks[0]}
         cells = " | ".join(f"{mean[name]:.3f}" for name in ("locked", "ignored", "followed"))

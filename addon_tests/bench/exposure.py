@@ -11,11 +11,11 @@ the first frame. Of a folder of rooms the means over the first 100: of pixels, s
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
+from given import paths
 from reference import positions_of
 
 from xihe_blender.capture.reference_probe import open_reference_probe
@@ -92,9 +92,7 @@ def row_of_rooms(folder: Path) -> str:
 
 
 def main() -> None:
-    files = [Path(name) for name in sys.argv[1:]]
-    if not files:
-        sys.exit("give .blend files or folders of rooms")
+    files = paths(__doc__, "FILE")
     ways = [f"{name} | % clipped | % of sphere | % of energy" for name in reversed(METERINGS)]
     print("| scene | " + " | ".join(ways) + " |\n" + "| --- " * 9 + "|")
     for file in files:

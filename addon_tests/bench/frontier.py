@@ -7,8 +7,8 @@ some of the runs only.
 """
 
 import json
-import sys
-from pathlib import Path
+
+from given import paths
 
 from xihe_blender.io.json_records import from_json
 from xihe_blender.lab.frontier.points import group, groups
@@ -51,8 +51,8 @@ def flickering_table(runs):
             print(f"    flickers ({sum(label in front for front in fronts)} of {len(fronts)}): {label}")
 
 
-def main(folders):
-    texts = [(Path(folder) / "frontier.json").read_text(encoding="utf-8") for folder in folders]
+def main():
+    texts = [(folder / "frontier.json").read_text(encoding="utf-8") for folder in paths(__doc__, "DIR")]
     runs = [from_json(Frontier, json.loads(text)).points for text in texts]
     for points in runs:
         presets_table(points)
@@ -60,4 +60,4 @@ def main(folders):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

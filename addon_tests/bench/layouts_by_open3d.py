@@ -11,7 +11,6 @@ from the middle of the first one, where we count from its corner.
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import open3d
+from given import paths
 
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.captures import open_capture
@@ -74,7 +74,7 @@ def farthest_apart(frame: RgbdFrame, intrinsics: Any, image: Path, pose: ArrayF6
 
 
 def main() -> None:
-    frames = list(open_capture(Path(sys.argv[1])))
+    frames = list(open_capture(*paths(__doc__, "RECORDING", 1)))
     for layout, read in READERS.items():
         with tempfile.TemporaryDirectory() as beside:
             folder = Path(beside) / layout

@@ -10,7 +10,6 @@ by the others; at the end in how many sessions each is the best.
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from given import paths
 
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
@@ -78,9 +78,7 @@ def sessions(files: list[Path]) -> Iterator[tuple[str, Errors]]:
 
 
 def main() -> None:
-    files = [Path(file) for file in sys.argv[1:]]
-    if not files:
-        sys.exit("give scenes with a camera path and virtual objects")
+    files = paths(__doc__, "ROOM.blend")
     best: dict[bool, Counter[str]] = {False: Counter(), True: Counter()}
     print("| session | given | asked | " + " | ".join(NAMES) + " |\n| --- | --- | --- |" + " --- |" * len(NAMES))
     for title, errors in sessions(files):

@@ -9,10 +9,8 @@ then the two are the same to the last bit. Nothing is rendered.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
+from given import paths
 from trigger import Recorded, read_run, steps_of
 
 from xihe_blender.previs.settings import PREVIS_TRIGGER
@@ -31,11 +29,10 @@ def walk(recorded: Recorded, estimator: str, following: LightFollowing | None) -
 
 
 def main() -> None:
-    if not sys.argv[1:]:
-        sys.exit("give the folders of finished previs runs")
+    folders = paths(__doc__, "RUN")
     print(f"{'run':<28}{'estimator':<12}{'kept':>8}{'followed':>10}{'steps':>7}")
-    for folder in sys.argv[1:]:
-        recorded = read_run(Path(folder))
+    for folder in folders:
+        recorded = read_run(folder)
         for estimator in ("lattice", "projection"):
             kept, _ = walk(recorded, estimator, None)
             followed, n_followed = walk(recorded, estimator, LightFollowing())

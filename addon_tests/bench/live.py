@@ -18,6 +18,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "in_blender"))
 from addon_runs import registered_addon
+from given import paths
 
 from xihe_blender.addon.results_in_blender import apply_results
 
@@ -25,7 +26,7 @@ N_MOVES, STEP = 20, 0.01
 
 
 def main() -> None:
-    blend, run = (Path(given).resolve() for given in sys.argv[1:])
+    blend, run = (path.resolve() for path in paths(__doc__, "SCENE.blend or RUN", 2))
     with registered_addon():
         bpy.ops.wm.open_mainfile(filepath=str(blend))
         scene = bpy.context.scene

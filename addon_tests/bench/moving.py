@@ -9,11 +9,11 @@ followed: both against the reference light at the place where the ball is.
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
+from given import paths
 
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
@@ -53,8 +53,9 @@ def scene_with_a_ball(name: str) -> bpy.types.Scene:
 
 
 def main() -> None:
-    for name in sys.argv[2:] or WAYS:
-        scene, out = scene_with_a_ball(name), Path(sys.argv[1]) / name
+    folder, *names = paths(__doc__, "OUT, SCENE")
+    for name in map(str, names or WAYS):
+        scene, out = scene_with_a_ball(name), folder / name
         results, errors = run_blocking(previs(scene, out, SETTINGS)), []
         exposure, plan = results["settings"]["reference_exposure"], plan_previs(scene, SETTINGS)
         left_behind = PhoneSession(plan.probes, SETTINGS.chain(exposure), load_estimators(SETTINGS)[0], None, seed=0)

@@ -12,13 +12,13 @@ reading lose beside that. The first row is the session with depth a ten-thousand
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from given import paths
 
 from xihenet import estimators
 from xihenet.captures import open_capture
@@ -67,7 +67,7 @@ def rounded(frames: list[RgbdFrame], layout: str) -> list[RgbdFrame]:
 
 
 def main() -> None:
-    folder = Path(sys.argv[1])
+    (folder,) = paths(__doc__, "ROOM", 1)
     content = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     at_m = {one["name"]: np.array(one["position_m"]) for one in content["places"]}
     ours = open_capture(folder)

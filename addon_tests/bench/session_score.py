@@ -11,11 +11,11 @@ over recordings, and in how many the estimator with the best score is also the o
 from __future__ import annotations
 
 import json
-import sys
 from functools import reduce
 from pathlib import Path
 
 import numpy as np
+from given import paths
 from scipy.stats import spearmanr
 
 from xihenet import estimators
@@ -59,10 +59,10 @@ def scores(capture: Capture) -> dict[str, float]:
 
 
 def main() -> None:
-    correlations, n_best = [], 0
+    folders, correlations, n_best = paths(__doc__, "ROOM"), [], 0
     print("| recording | " + " | ".join(f"{name}: score, error" for name in NAMES) + " | rank correlation |")
     print("| --- |" + " --- |" * (len(NAMES) + 1))
-    for folder in map(Path, sys.argv[1:]):
+    for folder in folders:
         capture = open_capture(folder)
         found, errors = scores(capture), true_errors(capture, folder)
         if not found or np.isnan(list(errors.values())).any():

@@ -10,13 +10,13 @@ view angle of 180 degrees the trigger asks a surface whatever the angle it is se
 from __future__ import annotations
 
 import json
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from given import paths
 
 from xihe_blender.previs.prepare import above_noise
 from xihe_blender.previs.settings import PREVIS_TRIGGER
@@ -94,9 +94,7 @@ def cell(recorded: Recorded, settings: TriggerSettings) -> str:
 
 
 def main() -> None:
-    runs = [read_run(Path(folder)) for folder in sys.argv[1:]]
-    if not runs:
-        sys.exit("give the folders of finished previs runs")
+    runs = [read_run(folder) for folder in paths(__doc__, "RUN")]
     headings = [f"{c.policy}, {c.theta}, {c.view_angle_deg:g} degrees" for c in CANDIDATES]
     print("share of steps that fire (first+colour+coverage of all) / error against truth")
     print("| scene | every frame | " + " | ".join(headings) + " |\n| --- |" + " --- |" * (1 + len(CANDIDATES)))
