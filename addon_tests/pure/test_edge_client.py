@@ -14,7 +14,7 @@ import trustme
 
 from addon_tests.pure.edge_servers import NEEDS_TORNADO, DelayingProxy, EdgeServer
 from addon_tests.pure.made import frame_of, random_cloud
-from addon_tests.pure.recordings import seen, walk
+from addon_tests.pure.recordings import walk
 from xihenet import estimators
 from xihenet.backend import InferenceBackend, LocalBackend, NoAnswer, estimate_light, estimate_lights
 from xihenet.camera import unproject_frame
@@ -267,11 +267,6 @@ def test_a_command_says_which_estimator_the_server_has(server):
         backend_at(f"http://127.0.0.1:{server.port}", "projection", N, "ldr")
 
 
-def test_the_bearer_token_is_sent(backend_to):
-    with EdgeServer(ServerSettings(port=0, bearer="secret")) as server:
-        assert backend_to(server, bearer="secret").estimate(random_cloud(np.random.default_rng(5), N)).any()
-
-
 def test_over_tls_a_client_that_trusts_the_certificate_gets_light_and_another_says_why_not(tmp_path):
     authority, certificate, key = trustme.CA(), tmp_path / "certificate.pem", tmp_path / "key.pem"
     issued = authority.issue_cert("127.0.0.1")
@@ -329,20 +324,6 @@ def test_the_ambient_estimator_knows_by_the_sensor_alone(backend_to):
         local = LocalBackend(estimators.load("ambient", N))
         here, there = (estimate_light(one, empty, context, 0.5) for one in (local, backend))
         assert here.is_valid and there.is_valid and np.allclose(here.sh_radiance, there.sh_radiance, atol=1e-9)
-
-
-def test_positions_of_one_session_do_not_mix(server, backend_to):
-    backend, local = backend_to(server), LocalBackend(estimators.load("lattice", N, "ldr"))
-    sessions = [XiheController(one, ControllerSettings(TriggerSettings(theta=0.0))) for one in (backend, local)]
-    for session in sessions:
-        session.add_position("a", (0.0, 1.0, 0.0))
-        session.add_position("b", (0.5, 0.8, 0.3))
-    for number in range(4):
-        frame = seen(SMALL, walk(SMALL, 4)[number].world_from_camera)
-        for session in sessions:
-            session.step(frame, active=["a", "b"])
-    for name in "ab":
-        assert shc_rmse(*(session.light(name).sh_radiance for session in sessions)) < 1e-3
 
 
 # ------------------------------------------------------------------------------------------------------------ together

@@ -14,7 +14,6 @@ from addon_tests.pure.recordings import LAYOUTS, walk
 from xihe_blender.cli.main import main
 from xihenet.edge.batching import Inference
 from xihenet.edge.client import EdgeBackend
-from xihenet.edge.connection import Patience
 from xihenet.metrics import shc_rmse
 
 pytestmark = NEEDS_TORNADO
@@ -36,17 +35,6 @@ def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
     assert [line["event"] for line in lines] == ["started", "request", "request", "request", "stopping"]
     assert lines[2]["status"] == 200 and lines[2]["body_bytes"] > 1000
     assert token not in logged and session not in logged
-
-
-def test_a_server_that_is_killed_and_started_again_costs_no_light():
-    cloud = random_cloud(np.random.default_rng(1), 512)
-    with serving(*PROJECTION, "0") as (process, port):
-        backend = EdgeBackend(f"http://127.0.0.1:{port}", 512, patience=Patience(n_tries=3, first_wait_s=0.01))
-        before = backend.estimate(cloud)
-        process.kill()
-        process.wait()
-    with serving(*PROJECTION, str(port)), closing(backend):
-        assert np.array_equal(backend.estimate(cloud), before) and backend.n_opened == 2
 
 
 @pytest.mark.parametrize(
