@@ -115,6 +115,8 @@ clean:
 
 # Most of what is installed is never imported, so that it is compiled where it is.
 $(VENV)/installed: pyproject.toml
+	@$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 13)))" || { \
+		echo "Blender as a module is for Python 3.11 and 3.13: give make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --no-compile --editable ".[blender,exr,$(EXTRAS)]"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -20,6 +21,7 @@ from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results_notes import mean_object_pixels, notes, recorded_notes, recorded_warnings, warnings
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.report.values import mean
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
@@ -28,11 +30,8 @@ from xihenet.phone import Request, first_frame_after
 from xihenet.records import ArrayF64, KeyLight
 from xihenet.surfaces import Surface
 
-AS_SET = (
-    "estimator", "others", "preset", "target", "light", "captured", "n_anchors", "seed", "phone", "network", "backend",
-    "between_estimates",
-)  # fmt: skip
-"""Settings that results hold under the same names."""
+AS_SET = {part.name for part in fields(records.RunSettings)} & {part.name for part in fields(PrevisSettings)}
+"""Settings that results hold under the same names; some of them as they came to be, see `_settings`."""
 
 
 def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> records.Rendering:
@@ -182,8 +181,8 @@ def _other_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
 
 def _settings(run: PreparedRun) -> records.RunSettings:
     settings, count, preset, reference = run.settings, run.sample_count, run.settings.preset_values, run.reference
-    return records.RunSettings(
-        **{name: getattr(settings, name) for name in AS_SET},
+    as_set = {name: getattr(settings, name) for name in AS_SET}
+    came_to_be = dict[str, Any](
         size=run.plan.size,
         frames=run.plan.frames,
         codec=ControllerSettings.codec,
@@ -204,6 +203,7 @@ def _settings(run: PreparedRun) -> records.RunSettings:
         comparison_view_transform="Standard",
         error_map_full_scale=ERROR_AT_FULL_SCALE,
     )
+    return records.RunSettings(**as_set | came_to_be)
 
 
 def _cycles_device(scene: bpy.types.Scene) -> str:

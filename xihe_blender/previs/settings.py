@@ -33,9 +33,6 @@ Captured = Literal["path", "in-view"]
 """Frames that a phone of a run takes in: the whole path, or those in which an estimation position is in view."""
 
 
-"""What objects are lit with: all of an estimate as spherical harmonics, or its key light as a sun and so the rest."""
-
-
 @dataclass(frozen=True)
 class Preset:
     """How much rendering effort a run spends.
