@@ -3,7 +3,7 @@
     python -m xihe_blender.cli.document > docs/cli.md
 
 Made from the parsers' actions and not from their help texts, which look different in every version of Python. The part
-on `xihe train` needs torch; without it that part is left out.
+on `xihe train`, the last, needs torch; without it that part is left out, which a line on stderr and a test say.
 """
 
 from __future__ import annotations
@@ -15,6 +15,11 @@ from collections.abc import Iterator
 
 from xihe_blender.cli.main import COMMANDS, _parser
 
+TRAINING = "\n## xihe train\n"
+WITHOUT_TRAINING = (
+    "torch is not installed, so the last part, on `xihe train`, is left out: put it back as it was, or install torch "
+    "(python -m pip install -e '.[train]') and make the page again"
+)
 HEAD = """# Command line
 
 `python -m xihe_blender.cli.document > docs/cli.md` makes this page from the parsers of the `xihe` command, and a test
@@ -84,4 +89,7 @@ def _row(action: argparse.Action) -> str:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(document())
+    made = document()
+    sys.stdout.write(made)
+    if TRAINING not in made:
+        print(WITHOUT_TRAINING, file=sys.stderr)
