@@ -9,6 +9,19 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from xihenet import backend as backend
+    from xihenet import buffers as buffers
+    from xihenet import camera as camera
+    from xihenet import codec as codec
+    from xihenet import completeness as completeness
+    from xihenet import controller as controller
+    from xihenet import estimators as estimators
+    from xihenet import metrics as metrics
+    from xihenet import records as records
+    from xihenet import sampling as sampling
+    from xihenet import sh as sh
+    from xihenet import sphere as sphere
+    from xihenet import trigger as trigger
     from xihenet.backend import InferenceBackend as InferenceBackend
     from xihenet.backend import LocalBackend as LocalBackend
     from xihenet.buffers import merge as merge
