@@ -126,6 +126,15 @@ def test_the_conventions_name_every_room():
     assert [room for room in MAY_IMPORT if room != "__main__" and not re.search(rf"\b{re.escape(room)}\b", table)] == []
 
 
+def test_the_conventions_say_where_to_find_every_part_of_xihenet_and_name_files_that_exist():
+    page = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
+    where, _ = page.split("## Where is what")[1].split("## Who may import whom")
+    paths = [path for path in (ROOT / "xihenet").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()]
+    assert [path.stem for path in paths if path.stem != "__init__" and f"`{path.stem}`" not in where] == []
+    names = re.findall(r"`(?:[\w/]+/)?(\w+)\.py`", where)
+    assert names and [name for name in names if not any(ROOT.glob(f"xihe*/**/{name}.py"))] == []
+
+
 def test_modules_of_a_room_have_no_circles():
     sources = our_sources()
 
