@@ -27,7 +27,7 @@ Stateless: what happened before comes in as an argument. Paper: section 4.3.1; f
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -37,6 +37,8 @@ from xihenet.light_change import LightFollowing, light_change
 from xihenet.light_difference import light_difference
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, TriggerDecision, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
+
+Policy = Literal["split", "light", "reference"]
 
 # Of the light that is looked for, see `LightFollowing`; whether it is worth an estimate, theta says.
 SMALLEST_STOPS, MOST_UNCHANGED = 0.25, 0.1
@@ -81,7 +83,7 @@ class TriggerSettings:
 
     theta: float = 0.6
     n_neighbours: int = 4
-    policy: Literal["split", "light", "reference"] = "split"
+    policy: Policy = "split"
     coverage_theta: float = 0.05
     ignored_share: float = 0.0
     view_angle_deg: float = 3.0
@@ -91,8 +93,8 @@ class TriggerSettings:
     light_theta: float = 0.75
 
     def __post_init__(self) -> None:
-        if self.policy not in ("split", "light", "reference"):
-            raise ValueError(f"TriggerSettings.policy: expected 'split', 'light' or 'reference', got {self.policy!r}")
+        if self.policy not in (policies := get_args(Policy)):
+            raise ValueError(f"TriggerSettings.policy: expected one of {', '.join(policies)}, got {self.policy!r}")
         if self.n_neighbours < 1:
             raise ValueError(f"TriggerSettings.n_neighbours: expected at least 1, got {self.n_neighbours}")
         for name in ("theta", "coverage_theta", "hysteresis", "light_theta"):

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import bpy
 import pytest
@@ -17,6 +18,9 @@ from xihe_blender.packaging.extension import build_extension, packed
 from xihe_blender.previs.settings import PRESETS
 from xihe_blender.scene.state import WORKING
 from xihenet import estimators
+from xihenet.estimators import Target
+from xihenet.light import LightChoice
+from xihenet.metering import METERINGS
 from xihenet.phone import LINKS, profile_names
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,7 +80,13 @@ def test_the_lists_are_those_of_the_science():
         scene = empty_scene()
         assert scene.xihe.estimator == choices.DEFAULT_ESTIMATOR == estimators.DEFAULT
         assert scene.xihe.phone == choices.DEFAULT_PHONE
-        assert [name for name, *_ in choices.PRESETS] == list(PRESETS)
+        for items, names in (
+            (choices.PRESETS, PRESETS),
+            (choices.LIGHT_PARTS, get_args(LightChoice)),
+            (choices.TARGETS, get_args(Target)),
+            (choices.METERINGS, [choices.PHONES_METERING, *METERINGS]),
+        ):
+            assert sorted(name for name, *_ in items) == sorted(names)
         for items, names in (
             (choices.estimator_items, estimators.names()),
             (choices.phone_items, [*profile_names(), choices.FROM_FILE]),

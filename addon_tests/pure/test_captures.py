@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from addon_tests.pure.broken_recordings import CASES
 from addon_tests.pure.recordings import (
     LAYOUTS,
     LOSSY,
@@ -37,8 +38,8 @@ def recorded(request, tmp_path_factory):
     return request.param.split(",")[0], frames, write(tmp_path_factory.mktemp("recorded"), frames)
 
 
-def test_every_format_is_written_by_a_test_and_read_back():
-    assert {name.split(",")[0] for name in LAYOUTS} == set(READERS) - {"Xihe session"}
+def test_every_format_is_written_by_a_test_and_read_back_sound_and_broken():
+    assert {name.split(",")[0] for name in LAYOUTS} == set(CASES) == set(READERS) - {"Xihe session"}
 
 
 def test_what_is_read_is_what_was_seen(recorded):

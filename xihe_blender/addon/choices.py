@@ -125,7 +125,7 @@ def _networks() -> list[Item]:
     from xihenet.phone import LINKS
 
     none = _item(NO_NETWORK, "On the Phone", "Estimates arrive at once, in the frame that they are made from", "BLANK1")
-    return [none, *(_item(name, *_NETWORKS.get(name, (name, "A network")), "WORLD") for name in LINKS)]
+    return [none, *(_item(name, *_NETWORKS[name], "WORLD") for name in LINKS)]
 
 
 def _item(name: str, label: str, description: str, icon: str) -> Item:
