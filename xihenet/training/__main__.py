@@ -18,7 +18,7 @@ from xihenet.estimators.calibration import SHARES_ASKED
 from xihenet.training.calibration import calibrate_elsewhere, calibrate_network
 from xihenet.training.dataset import CacheSettings, Content, build_cache
 from xihenet.training.loop import TrainSettings, check_trainable, train
-from xihenet.training.networks import SAMPLING_OF, export_network
+from xihenet.training.networks import KINDS, export_network
 from xihenet.training.plots import report_plots
 from xihenet.training.report import ReportSettings, make_report, report_json
 from xihenet.training.report_text import report_markdown
@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_cache_options(parser: argparse.ArgumentParser, run: object) -> None:
     add = parser.add_argument
-    add("--estimator", choices=tuple(SAMPLING_OF), default="lattice", help="network")
+    add("--estimator", choices=tuple(KINDS), default="lattice", help="network")
     add("--data", type=Path, nargs="+", required=True, metavar="DIR", help="folders of the rooms, of different seeds")
     add("--out", type=Path, required=True, metavar="DIR", help="folder of the sampled clouds and networks")
     add("--anchors", type=int, default=1280, metavar="N", help="anchors of a cloud")
@@ -161,7 +161,7 @@ def _run_cache(options: argparse.Namespace, check: Callable[[Path, Content], Non
     test_only, all_rooms, whole_sphere, upright, points = (getattr(options, name, False) for name in TEST_SWITCHES)
     is_test = test_only or all_rooms or whole_sphere or upright
     settings = CacheSettings(
-        options.anchors, SAMPLING_OF[options.estimator], options.changes, options.merged_clouds,
+        options.anchors, KINDS[options.estimator].sampling, options.changes, options.merged_clouds,
         is_test_only=all_rooms, is_whole_sphere=whole_sphere, is_upright=upright, has_patches=not points,
         only=("test",) if is_test else SPLITS,
     )  # fmt: skip

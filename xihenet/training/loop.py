@@ -53,7 +53,7 @@ class TrainSettings:
 
     cache: Path  # sampled clouds, as `xihenet.training.dataset.build_cache` leaves them
     out: Path  # folder of the run: checkpoint.pt, curves.csv, best.pt
-    estimator: str = "lattice"  # key of `SAMPLING_OF`; must fit the cache's sampling
+    estimator: str = "lattice"  # key of `KINDS`; must fit the cache's sampling
     target: Target = "ldr"
     seed: int = 0  # of the first weights and of the order of the clouds
     epochs: int = 60

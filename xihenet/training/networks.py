@@ -7,10 +7,11 @@ torch's restricted reader, which runs no code.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -26,9 +27,27 @@ from xihenet.nets.pointconv import PointConvNet
 from xihenet.records import ArrayInt
 from xihenet.training.dataset import CloudSet, Sampling
 
-SAMPLING_OF: dict[str, Sampling] = {
-    "lattice": "sphere", "xihenet": "sphere", "pointar": "uniform", "farthest": "farthest",
-}  # fmt: skip
+
+class Kind(NamedTuple):
+    """A network that can be trained: which clouds it is fed, how it is made, and how its .npz is read."""
+
+    sampling: Sampling
+    architecture: Callable[..., Any]  # a dataclass of sizes
+    net: Callable[[Any], nn.Module]
+    load: Callable[[Path], NetworkWeights[Any]]
+
+
+def _point_conv(name: str, sampling: Sampling) -> Kind:
+    return Kind(sampling, PointConvArchitecture, PointConvNet, partial(load_pointconv_weights, estimator=name))
+
+
+KINDS = {
+    "lattice": Kind("sphere", LatticeArchitecture, LatticeNet, load_weights),
+    "xihenet": _point_conv("xihenet", "sphere"),
+    "pointar": _point_conv("pointar", "uniform"),
+    "farthest": _point_conv("farthest", "farthest"),
+}
+"""By the estimator's name; `farthest` is none that is registered."""
 
 _CLOUDS_AT_ONCE = 64
 
@@ -56,11 +75,9 @@ class TrainedNetwork:
 
 def make_network(estimator: str, **options: Any) -> nn.Module:
     """A fresh network; `options` go to its architecture. ValueError for an unknown estimator."""
-    if estimator not in SAMPLING_OF:
-        raise ValueError(f"estimator: expected one of {', '.join(SAMPLING_OF)}, got {estimator!r}")
-    if estimator == "lattice":
-        return LatticeNet(LatticeArchitecture(**options))
-    return PointConvNet(PointConvArchitecture(**options))
+    if estimator not in KINDS:
+        raise ValueError(f"estimator: expected one of {', '.join(KINDS)}, got {estimator!r}")
+    return KINDS[estimator].net(KINDS[estimator].architecture(**options))
 
 
 def take_weights(net: nn.Module, estimator: str, path: Path, share: float = 1.0) -> None:
@@ -68,7 +85,7 @@ def take_weights(net: nn.Module, estimator: str, path: Path, share: float = 1.0)
 
     ValueError if they are of another network.
     """
-    stored = _weights_in(path, estimator)
+    stored = KINDS[estimator].load(path)
     own_sizes: Any = net.architecture
     if _sizes(stored.architecture) != _sizes(own_sizes):
         raise ValueError(f"{path}: expected weights of a network of the same kind and target")
@@ -80,14 +97,8 @@ def take_weights(net: nn.Module, estimator: str, path: Path, share: float = 1.0)
 def sizes_in(path: Path, estimator: str) -> dict[str, object]:
     """Sizes of the network of `estimator` whose weights are in `path`, an .npz; ValueError where it is none."""
     return {
-        name: size
-        for name, size in _sizes(_weights_in(path, estimator).architecture).items()
-        if name != "opens_clipped"
+        name: size for name, size in _sizes(KINDS[estimator].load(path).architecture).items() if name != "opens_clipped"
     }
-
-
-def _weights_in(path: Path, estimator: str) -> NetworkWeights[Any]:
-    return load_weights(path) if estimator == "lattice" else load_pointconv_weights(path, estimator)
 
 
 def _sizes(architecture: Any) -> dict[str, object]:

@@ -30,7 +30,7 @@ from xihenet.estimators.lattice import given_light
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt
 from xihenet.training.baselines import Baselines
 from xihenet.training.dataset import CloudSet, open_split, read_cache
-from xihenet.training.networks import SAMPLING_OF, load_network, predict
+from xihenet.training.networks import KINDS, load_network, predict
 from xihenet.training.rooms import Split, room_number, split_of
 from xihenet.training.scores import Scores, rmse_of_each
 
@@ -175,7 +175,7 @@ def load_seeds(label: str, files: Sequence[Path], target: Target | None = None, 
             raise ValueError(f"{file}: expected a network trained for {target!r}, got {trained.target!r}")
         if trained.estimator != loaded[0].estimator:
             raise ValueError(f"{file}: expected {loaded[0].estimator} as the others of {name}, got {trained.estimator}")
-    sampling = SAMPLING_OF[loaded[0].estimator]
+    sampling = KINDS[loaded[0].estimator].sampling
     if key and key.split("_")[0] != sampling:
         raise ValueError(f"{label}: expected clouds of the sampling {sampling}, got {key}")
     nets = tuple(trained.net for trained in loaded)
