@@ -215,6 +215,17 @@ def test_the_material_override_of_a_view_layer_does_not_reach_the_phone():
     np.testing.assert_array_equal(captured(scene).srgb_u8, plain.srgb_u8)
 
 
+def test_what_the_user_culls_because_it_is_far_away_or_out_of_view_lights_the_room():
+    scene = room_with_a_virtual_sphere()
+    box(scene, "Behind the phone", (-1.9, -1.9, 1.6), (0.05, 0.05, 1.0), material("Glow", emission=20.0))
+    plain = captured(scene)
+    scene.render.use_simplify = scene.cycles.use_camera_cull = scene.cycles.use_distance_cull = True
+    scene.cycles.camera_cull_margin, scene.cycles.distance_cull_margin = 0.0, 0.1
+    for item in scene.objects:
+        item.cycles.use_camera_cull = item.cycles.use_distance_cull = True
+    np.testing.assert_array_equal(captured(scene).srgb_u8, plain.srgb_u8)
+
+
 def test_text_burnt_into_renders_and_a_view_layer_that_is_not_rendered_do_not_reach_the_phone():
     scene = room_with_a_virtual_sphere()
     expected = captured(scene)

@@ -116,6 +116,8 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
     cycles.use_adaptive_sampling, cycles.time_limit = False, 0.0
     cycles.film_exposure = 1.0
     cycles.use_fast_gi = False
+    # What the phone does not see lights the room all the same, and a light probe is in another place.
+    cycles.use_camera_cull = cycles.use_distance_cull = False
     cycles.use_denoising = settings.denoise and can_denoise(scene)
     if cycles.use_denoising:
         # The accurate prefilter runs the denoiser three times over: 0.5 s more per small picture, no visible gain.
