@@ -128,6 +128,21 @@ def test_only_units_that_are_done_and_not_damaged_are_in_the_results(tmp_path, c
         assert caplog.messages == [f"{path} is damaged and is made again"]
 
 
+def test_scenes_of_one_name_are_told_apart_by_their_folders(tmp_path):
+    files = [tmp_path / path for path in ("a/day/room.blend", "b/day/room.blend", "night/room.blend", "hall.blend")]
+    for file in files:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(str(file))
+    units, _ = planned_units(files, (0, 1))
+    folder = BatchFolder(tmp_path / "out")
+    cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
+    for unit in units:
+        write_json(result_file(folder.of_unit(unit)), as_json(UnitResult(trials=(), step_ms=(), render_s=0, cost=cost)))
+    found = batch_results(folder, SETTINGS, units, {})
+    names = ["a/day/room", "b/day/room", "night/room", "hall"]
+    assert [(unit.scene, unit.seed) for unit in found.units] == [(name, seed) for name in names for seed in (0, 1)]
+
+
 def test_tables_hold_a_row_per_trial_and_leave_empty_what_is_not_known(tmp_path):
     trials = [trial(psnr=None), *batch(2)]
     BatchFolder(tmp_path).write_tables(results(trials))

@@ -15,7 +15,6 @@ docs/batch.schema.json is made from the records (`python -m xihe_blender.lab.bat
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -118,7 +117,7 @@ class UnitName:
     """Which unit it is."""
 
     unit: Annotated[str, "its folder"]
-    scene: Annotated[str, "the name of its scene"]
+    scene: Annotated[str, "the name of its file, with folders where others have that name"]
     seed: Annotated[int, "its seed"]
 
 
@@ -253,10 +252,11 @@ def batch_results(
 ) -> BatchResults:
     """Everything that is done, in the order in which it was asked for."""
     trials, rows = list[Trial](), list[UnitRow]()
-    for unit, scene in zip(units, _scene_names(units), strict=True):
+    names = _scene_names({unit.scene for unit in units})
+    for unit in units:
         result = folder.result(unit)
         if result is not None:
-            name = vars(UnitName(unit=unit.name, scene=scene, seed=unit.seed))
+            name = vars(UnitName(unit=unit.name, scene=names[unit.scene], seed=unit.seed))
             trials += [Trial(number=number, **name, **vars(one)) for number, one in enumerate(result.trials)]
             rows.append(UnitRow(render_s=result.render_s, step_ms=result.step_ms, **name, **vars(result.cost)))
     return BatchResults(
@@ -268,12 +268,16 @@ def batch_results(
     )
 
 
-def _scene_names(units: Sequence[Unit]) -> list[str]:
-    """The stem of each unit's .blend, with a piece of its digest where another file has the same."""
-    n_of_stem = Counter(stem for stem, _ in {(unit.scene.stem, unit.digest) for unit in units})
-    return [
-        unit.scene.stem if n_of_stem[unit.scene.stem] == 1 else f"{unit.scene.stem} {unit.digest[:8]}" for unit in units
-    ]
+def _scene_names(scenes: set[Path]) -> dict[Path, str]:
+    """The stem of each .blend, after as many of its folders as tell it from another with the same stem."""
+    paths = {scene: scene.with_suffix("").parts for scene in scenes}
+    names = {}
+    for scene, parts in paths.items():
+        others = [other for path, other in paths.items() if path != scene]
+        n_parts = (n for n in range(1, len(parts)) if all(other[-n:] != parts[-n:] for other in others))
+        n = next(n_parts, None)
+        names[scene] = str(scene) if n is None else "/".join(parts[-n:])
+    return names
 
 
 def read_frontier(given: Path | None, folder: Path) -> Frontier | None:
