@@ -19,7 +19,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings
 from xihe_blender.lab.rooms.scene import add_scene
-from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
@@ -138,6 +138,25 @@ def link_all(file, frames=2):
         scene.camera = item if item.type == "CAMERA" else scene.camera
     bpy.context.view_layer.update()
     return scene
+
+
+def test_a_library_or_an_image_that_has_changed_since_makes_another_run(library, tmp_path):
+    def made(scene):
+        plan = plan_previs(scene, SMALL)
+        return made_of("a run", scene, tmp_path / "no.blend", SMALL, plan)["linked_sha256"]
+
+    file, picture = tmp_path / "library.blend", tmp_path / "picture.png"
+    file.write_bytes(library[0].read_bytes())
+    found = [made(walk(2)), made(link_all(file))]
+    with file.open("ab") as changed:
+        changed.write(bytes(8))
+    scene = link_all(file)
+    found.append(made(scene))
+    for content in (b"one", b"two"):
+        picture.write_bytes(content)
+        bpy.data.images.load(str(picture), check_existing=True)
+        found.append(made(scene))
+    assert found[0] is None and len(set(found)) == len(found)
 
 
 def numbers(results):

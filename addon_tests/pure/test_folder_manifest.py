@@ -36,6 +36,7 @@ def test_a_folder_is_taken_once_and_known_again(tmp_path):
         ({"xihe": "2.0", "frames": (1,)}, "another version of xihe:"),
         ({"blender": "5.2"}, "another version of Blender:"),
         ({"blend_sha256": "0f"}, "another scene file:"),
+        ({"linked_sha256": "0f"}, "another linked library or image:"),
     ],
 )
 def test_what_differs_is_named_and_the_claim_stays(tmp_path, changed, words):

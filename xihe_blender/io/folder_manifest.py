@@ -18,7 +18,11 @@ from xihenet.json_files import read_json
 
 WORK = "work"  # the kind of work, where several keep a file of the same name; missing in files of before
 NOT_COMPARED = "software"  # written down for the reader alone
-WORDS = {"blend_sha256": "scene file", "weights": "training of its networks"}
+WORDS = {
+    "blend_sha256": "scene file",
+    "linked_sha256": "linked library or image",
+    "weights": "training of its networks",
+}
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import bpy
 
+from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera, sized_for
 from xihe_blender.errors import UserError
@@ -165,6 +166,7 @@ def made_of(
         "xihe": __version__,
         "blender": bpy.app.version_string,
         "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
+        "linked_sha256": _linked_sha256(),
         "scene": scene.name,
         "settings": asdict(settings),
         # A file of the user's may have changed since.
@@ -174,3 +176,18 @@ def made_of(
         "size": plan.size,
         "objects": [item.name for item in plan.objects],
     }
+
+
+def _linked_sha256() -> str | None:
+    """SHA-256 of the libraries and images that the open file reads from other files; None without any.
+
+    Of a film or a sequence it is that of the file that Blender names; pictures of our own are left out.
+    """
+    images = [image for image in bpy.data.images if not image.packed_files and not image.name.startswith(PREFIX)]
+    paths = {bpy.path.abspath(one.filepath, library=one.library) for one in (*bpy.data.libraries, *images)}
+    digests = []
+    for path in map(Path, paths):
+        if path.is_file():
+            with path.open("rb") as file:
+                digests.append(hashlib.file_digest(file, "sha256").digest())
+    return hashlib.sha256(b"".join(sorted(digests))).hexdigest() if digests else None
