@@ -20,6 +20,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.compare.methods import display, open_comparer
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.compare_path import surfaces_known
@@ -126,4 +127,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

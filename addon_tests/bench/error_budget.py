@@ -42,6 +42,7 @@ from xihe_blender.capture import all_around
 from xihe_blender.capture.reference_probe import CONE
 from xihe_blender.capture.render import RenderSettings, render_passes, stacked_rgb, working_scene
 from xihe_blender.capture.scanner import leave_out_virtual_objects, phone_camera
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.budget_results import BudgetResults, ObjectBudget
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
@@ -459,4 +460,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

@@ -21,6 +21,7 @@ from reference import positions_of
 from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, meter_exposure, metered_frames, open_scanner, sized_for
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.lab.rooms.store import load_room, room_path, stored_indices
 from xihe_blender.previs.plan import planned_frames
 from xihe_blender.previs.settings import PrevisSettings
@@ -101,4 +102,5 @@ def main() -> None:
 
 if __name__ == "__main__":
     np.seterr(all="raise", under="ignore")  # What underflows is black in any picture.
-    main()
+    with only_our_output():
+        main()

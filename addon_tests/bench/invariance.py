@@ -31,6 +31,8 @@ from moved_rooms import (
     turned_by_hand,
 )
 
+from xihe_blender.io.blender_output import only_our_output
+
 SEEDS, YAWS, YAWS_BY_HAND = range(1, 7), np.linspace(7.7, 340, 8), np.linspace(1, 359, 40)
 Row = tuple[str, str, float, float]
 """Light, what was changed, the largest difference found, its bound."""
@@ -72,4 +74,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with only_our_output():
+        sys.exit(main())

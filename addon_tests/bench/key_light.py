@@ -29,6 +29,7 @@ import numpy as np
 from light_parts import walked_scene
 
 from xihe_blender.cli.arguments import picture_size
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.previs.path_renders import true_reflections
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
@@ -165,4 +166,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

@@ -33,6 +33,7 @@ from test_reference_probe import (  # noqa: E402
     scene_with_a_glowing_disc,
 )
 
+from xihe_blender.io.blender_output import only_our_output  # noqa: E402
 from xihe_blender.previs.settings import PRESETS, PrevisSettings  # noqa: E402
 from xihenet.sh import basis  # noqa: E402
 
@@ -108,4 +109,5 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

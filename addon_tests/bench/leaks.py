@@ -22,6 +22,7 @@ from reference import positions_of
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.lab.rooms.views import RoomRays
 from xihe_blender.scene.blend_file import open_blend
 from xihenet import estimators
@@ -164,4 +165,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

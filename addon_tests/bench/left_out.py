@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from given import paths
 
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.path_renders import kept_renders
@@ -93,4 +94,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

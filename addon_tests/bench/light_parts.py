@@ -34,6 +34,7 @@ from mathutils import Vector
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import composite, load_ground_truth, measure, open_comparer, save_ground_truth
 from xihe_blender.compare.shadows import ring_around, ring_rmse, shadow_of_all, surfaces_in_view
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.kept_files import read_kept
 from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.jobs import run_blocking
@@ -190,4 +191,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

@@ -22,6 +22,7 @@ from light_parts import walked_scene
 from xihe_blender.capture.mirror_sphere import open_mirror_sphere
 from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.compare.methods import measure, open_comparer
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.json_records import from_json
 from xihe_blender.previs.settings import PrevisSettings
 from xihenet import estimators
@@ -99,4 +100,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

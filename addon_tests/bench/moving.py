@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 from given import paths
 
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.plan import plan_previs
@@ -69,4 +70,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

@@ -27,6 +27,7 @@ from mathutils import Matrix
 from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects, meter_exposure
+from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
@@ -235,4 +236,5 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    with only_our_output():
+        main()

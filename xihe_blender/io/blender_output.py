@@ -39,6 +39,13 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
         os.close(aside)
 
 
+@contextlib.contextmanager
+def only_our_output() -> Iterator[None]:
+    """As `blender_output_aside`, for a script that prints: what it does in the block goes to the real streams."""
+    with blender_output_aside() as (out, err), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        yield
+
+
 def close_stdout() -> None:
     """Send what still comes from this process' C++ nowhere."""
     with contextlib.suppress(OSError, ValueError):
