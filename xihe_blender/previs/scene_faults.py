@@ -19,8 +19,10 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
+from xihe_blender.scene.phone_capture import SCAN
 from xihe_blender.scene.shader_nodes import constant, has_nodes
 from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF32, ArrayF64
 
 BRIGHTEST = 1e30
@@ -102,6 +104,25 @@ def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[Fault]:
     if n_broken:
         said = f"{n_broken} vertices of mesh {mesh.name!r} are NaN or infinite: Cycles leaves their faces out."
         yield Fault(name=mesh.name, n=n_broken, said=said)
+
+
+def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
+    """Surfaces that light their surroundings while cameras see a hole in their place; a recording's scan is none."""
+    layer = scene.view_layers[0]
+    unseen = [
+        item.name
+        for item in layer.objects
+        if item.type in GEOMETRY_TYPES and not item.hide_render and SCAN not in item
+        if item.is_holdout or item.is_shadow_catcher
+        or item.holdout_get(view_layer=layer) or item.indirect_only_get(view_layer=layer)
+    ]  # fmt: skip
+    if unseen:
+        more = f" and {len(unseen) - 1} more" if len(unseen) > 1 else ""
+        said = (
+            f"{unseen[0]!r}{more}: the phone does not see what is a holdout, a shadow catcher or indirect only, "
+            "but light comes from there. Switch that off in Object Properties > Visibility, or in the outliner."
+        )
+        yield Fault(name=unseen[0], n=len(unseen), said=said)
 
 
 def image_faults(world: bpy.types.World | None) -> Iterator[Fault]:

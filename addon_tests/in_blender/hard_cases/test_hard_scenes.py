@@ -95,6 +95,12 @@ PLACES = [
         put("Table", scale=(-1, 1, 1)),
         same_light("but for a ray's rounding", within=1e-3),
     ),
+    case("a holdout in the room is named", put("Table", is_holdout=True), says("'Table': the phone does not see", n=1)),
+    case(
+        "a shadow catcher and a lamp that is a holdout are named",
+        [put("Table", is_shadow_catcher=True), put("Lamp", is_holdout=True)],
+        says("and 1 more: the phone does not see", n=2),
+    ),
     case("an object at NaN in the room is named", put("Table", location=NAN_PLACE), says("'Table' has no finite")),
     case("a lamp at NaN is named", [lamp_alone(100.0), put("Bulb", location=NAN_PLACE)], says("'Bulb' has no finite")),
 ]
