@@ -1,5 +1,6 @@
 """The data set of rooms: what is stored is whole, the same every time, and true to the room."""
 
+import json
 import os
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from small_rooms import SMALL, places_of, small_build
 from xihe_process import ROOT
 
 from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms import render_room
 from xihe_blender.lab.rooms.build import LEFT_BEHIND_S, BuildSettings, build_dataset, missing_rooms, write_manifest
@@ -242,8 +244,8 @@ def test_a_second_build_makes_what_is_missing_alone(built):
 
 @pytest.mark.slow
 def test_a_killed_worker_leaves_whole_files_alone(tmp_path):
-    command = [*module_command("xihe_blender.lab.rooms.worker"), "--out", str(tmp_path), "--seed", "5"]
-    command += ["--rooms", ",".join(map(str, range(50))), "--settings", *map(str, SMALL.numbers)]
+    settings = json.dumps(as_json(small_build(50)))
+    command = [*module_command("xihe_blender.lab.rooms.worker"), str(tmp_path), settings, ",".join(map(str, range(50)))]
     worker = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
     while not any(stored_indices(tmp_path)) and worker.poll() is None and time.monotonic() < deadline:
@@ -310,7 +312,7 @@ def test_only_training_rooms_are_lit_by_fewer_rays():
 
 @pytest.mark.slow
 def test_what_a_failing_worker_said_is_passed_on(tmp_path):
-    with pytest.raises(UserError, match="expected 6 arguments"):
+    with pytest.raises(UserError, match=r"BuildSettings\.render: .* does not belong there"):
         run_blocking(build_dataset(tmp_path, replace(small_build(1), render=SMALL.numbers[:4])))
 
 

@@ -10,6 +10,7 @@ start them, as `xihe evaluate` does, and see the folder under the same path.
 from __future__ import annotations
 
 import contextlib
+import json
 import tempfile
 import time
 import zipfile
@@ -21,6 +22,7 @@ from typing import IO, Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
+from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, room_path, stored_indices
 from xihe_blender.lab.workers.dask_workers import Work, open_dask_workers
@@ -46,7 +48,7 @@ class BuildSettings:
     n_rooms: int  # room numbers are below this; more may be added later with the same seed
     seed: int = 0  # of the whole data set, at least 0
     n_workers: int | None = None  # processes, one thread each; None for one per core of this process
-    render: tuple[int, ...] = (128, 96, 4, 160, 2, 80)  # as `RoomRenderSettings.numbers` has them
+    render: tuple[int, int, int, int, int, int] = (128, 96, 4, 160, 2, 80)  # as `RoomRenderSettings.numbers` has them
     walk: int | None = None  # frames of a walk in place of the free views; None for free views
     views: int | None = None  # free views of each room; None for the usual number
     varied: float = 0.0  # share of the training rooms that are far more varied than homes and offices, 0 to 1
@@ -180,9 +182,4 @@ def _joined(indices: Sequence[int]) -> str:
 
 def _arguments(folder: Path, settings: BuildSettings, rooms: str) -> list[str]:
     """What `worker` is told."""
-    arguments = ["--out", str(folder), "--seed", str(settings.seed), "--rooms", rooms]
-    arguments += ["--settings", *(str(n) for n in settings.render), "--varied", str(settings.varied)]
-    arguments += ["--by-day", str(settings.by_day)]
-    for name, number in (("--walk", settings.walk), ("--views", settings.views)):
-        arguments += [] if number is None else [name, str(number)]
-    return arguments
+    return [str(folder), json.dumps(as_json(settings)), rooms]
