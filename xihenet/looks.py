@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xihenet.phone.motion import turns_by
+from xihenet.placement import evenly_chosen
 from xihenet.records import ArrayF64
 
 PITCHES_DEG = (-40.0, 0.0, 40.0, 75.0)
@@ -132,8 +133,7 @@ def turned_view(world_from_camera: ArrayF64, yaw_deg: float, pitch_deg: float) -
 
 def looks_of(path: Sequence[tuple[int, ArrayF64]], settings: LookSettings) -> list[Look]:
     """The looks that are tried: at frames evenly spread over the path, (number, world_from_camera) each."""
-    n = min(len(path), settings.most_frames)
-    chosen = [path[(2 * k + 1) * len(path) // (2 * n)] for k in range(n)]
+    chosen = evenly_chosen(path, settings.most_frames)
     return [look for frame, pose in chosen for look in _looks_at(frame, pose, settings)]
 
 

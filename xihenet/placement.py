@@ -6,11 +6,14 @@ Two kinds: on upward surfaces that were seen, and in free air at a height. What 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
 from xihenet.records import ArrayBool, ArrayF64, ArrayInt, RgbdFrame
+
+Item = TypeVar("Item")
 
 UPWARD = np.cos(np.radians(20.0))
 """Least z of a normal that counts as upward: a table that stands askew does, a cushion's flank does not."""
@@ -24,6 +27,12 @@ FEWEST_RANKED = 8
 
 REACH_M = 5.0
 """From the camera: a phone's LiDAR sees no farther, and a garden behind a window is no place for an object."""
+
+
+def evenly_chosen(found: Sequence[Item], most: int) -> list[Item]:
+    """At most so many of what was found, evenly spread."""
+    n = min(most, len(found))
+    return [found[(2 * k + 1) * len(found) // (2 * n)] for k in range(n)]
 
 
 def upward_points(frames: Sequence[RgbdFrame], reach_m: float = REACH_M) -> ArrayF64:

@@ -19,7 +19,7 @@ from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.estimators import Estimator
 from xihenet.left_out import N_PARTS, left_out_error
 from xihenet.paired import CONFIDENCE, held_at_most, paired_difference
-from xihenet.placement import places_among, upward_points
+from xihenet.placement import evenly_chosen, places_among, upward_points
 from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
@@ -61,9 +61,7 @@ def score_places(frames: Sequence[RgbdFrame], most: int = N_PLACES) -> ArrayF64:
     if len(places) < most // 2:
         hung = [_before_middle(frame) for frame in frames if valid_plane_depth(frame.plane_depth_m).any()]
         places = np.concatenate([places, np.array(hung).reshape(-1, 3)])
-    n = min(most, len(places))
-    chosen = [(2 * k + 1) * len(places) // (2 * n) for k in range(n)]
-    return np.asarray(places[chosen], np.float64)
+    return np.array(evenly_chosen(list(places), most), np.float64).reshape(-1, 3)
 
 
 def _before_middle(frame: RgbdFrame) -> ArrayF64:

@@ -23,9 +23,9 @@ from xihe_blender.lab.frontier.records import FrontierSettings, RenderChoice
 from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, SceneStudy, measure_rendering
 from xihe_blender.lab.frontier.study import prepare, survey_scene
 from xihe_blender.lab.frontier.timing import median_and_spread
-from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
+from xihenet.placement import evenly_chosen
 
 HEAD = """\
 | scene | draft | balanced | accurate | accurate / draft in coefficients (by view) | in irradiance |

@@ -22,11 +22,12 @@ from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import Progress
-from xihe_blender.previs.plan import compared_frames, evenly_chosen
+from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results import as_surface_result
 from xihe_blender.previs.run_chain import Lights, WalkedPath
 from xihenet.json_files import read_json
+from xihenet.placement import evenly_chosen
 from xihenet.recording import load_frame
 from xihenet.surfaces import Surface
 

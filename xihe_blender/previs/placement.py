@@ -24,7 +24,6 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.captured_path import capture_path, measured_lights, said_of_path
 from xihe_blender.previs.kept_session import KeptSession
 from xihe_blender.previs.placement_pictures import write_pictures
-from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results import as_rgb
 from xihe_blender.previs.settings import PrevisSettings
@@ -35,6 +34,7 @@ from xihenet.metrics import shc_rmse
 from xihenet.placement import (
     REACH_M,
     air_places,
+    evenly_chosen,
     places_among,
     rank_correlation,
     rank_correlation_interval,

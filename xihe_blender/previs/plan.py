@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import bpy
 
@@ -27,7 +27,6 @@ from xihenet import __version__
 from xihenet.camera import Intrinsics
 from xihenet.records import ArrayF64
 
-Item = TypeVar("Item")
 DEFAULT_SIZE = (256, 192)
 
 
@@ -63,12 +62,6 @@ class PrevisPlan:
 
     def probes_of(self, object_name: str) -> list[Probe]:
         return [probe for probe in self.probes if probe.object_name == object_name]
-
-
-def evenly_chosen(found: Sequence[Item], most: int) -> list[Item]:
-    """At most so many of what was found, evenly spread."""
-    n = min(most, len(found))
-    return [found[(2 * k + 1) * len(found) // (2 * n)] for k in range(n)]
 
 
 def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:

@@ -37,11 +37,12 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import open_scanner
-from xihe_blender.previs.plan import PrevisPlan, evenly_chosen
+from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import Preset, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
 from xihenet.camera import unproject_frame
 from xihenet.metering import KEY_LUMINANCE, MOST_STOPS
+from xihenet.placement import evenly_chosen
 from xihenet.records import ArrayF64
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors

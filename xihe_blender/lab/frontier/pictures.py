@@ -32,12 +32,12 @@ from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, Ren
 from xihe_blender.lab.frontier.rendering import RenderStudy, kept_or_done, rendered, use_threads
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.compare_path import MOST_SEEN
-from xihe_blender.previs.plan import evenly_chosen
 from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
 from xihenet import estimators
 from xihenet.light import LightParts
 from xihenet.metrics import image_rmse
 from xihenet.phone_session import PhoneSession
+from xihenet.placement import evenly_chosen
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame
 
 METHODS = tuple(ComputeChoice(estimator=name) for name in ("lattice", "projection", "ambient"))

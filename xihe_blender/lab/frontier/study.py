@@ -53,7 +53,7 @@ from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.timing import median_and_spread
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.previs.plan import PrevisPlan, check_is_rendered, evenly_chosen, plan_previs
+from xihe_blender.previs.plan import PrevisPlan, check_is_rendered, plan_previs
 from xihe_blender.previs.prepare import effects_kept, positive_exposure
 from xihe_blender.previs.sample_count import measure_sample_count, pilot_views
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
@@ -64,6 +64,7 @@ from xihe_blender.scene.state import scene_kept
 from xihenet import __version__, estimators
 from xihenet.effects import effects_as_json, plan_effects
 from xihenet.estimators.weights_format import weights_sha256
+from xihenet.placement import evenly_chosen
 from xihenet.records import ArrayF64
 
 Result = TypeVar("Result")

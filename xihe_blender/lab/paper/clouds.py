@@ -10,6 +10,7 @@ from typing import Any
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.buffers import merge
 from xihenet.camera import in_view, unproject_frame
+from xihenet.placement import evenly_chosen
 from xihenet.records import PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
@@ -25,6 +26,10 @@ class View:
     points: PointCloud
     exposure: float
 
+    def cloud(self, lattice: AnchorLattice) -> UnitSphereCloud:
+        """What the frame alone shows from the place."""
+        return sample_unit_sphere(self.points, self.place.position_m, lattice)
+
 
 def views(sessions: Sequence[Session], most: int) -> Iterator[View]:
     """At most so many of each room, evenly spread over its frames and places in view."""
@@ -35,8 +40,7 @@ def views(sessions: Sequence[Session], most: int) -> Iterator[View]:
             for place in session.places
             if in_view(place.position_m[None], frame.intrinsics, frame.world_from_camera)[0]
         ]
-        n = min(most, len(found))
-        for frame, place in (found[(2 * k + 1) * len(found) // (2 * n)] for k in range(n)):
+        for frame, place in evenly_chosen(found, most):
             points = unproject_frame(frame, reference_exposure=session.exposure)
             yield View(session.name, place, frame, points, session.exposure)
 

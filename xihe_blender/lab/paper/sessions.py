@@ -23,6 +23,7 @@ from xihe_blender.jobs import Job, part_of
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.captures import open_capture
 from xihenet.json_files import read_json
+from xihenet.placement import evenly_chosen
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.session_score import score_places
 
@@ -113,7 +114,7 @@ def planned_walk(
     UserError as of a run.
     """
     from xihe_blender.previs.captured_path import path_plan
-    from xihe_blender.previs.plan import evenly_chosen, plan_previs
+    from xihe_blender.previs.plan import plan_previs
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.virtual_objects import virtual_objects
 

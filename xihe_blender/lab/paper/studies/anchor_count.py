@@ -12,7 +12,6 @@ from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, me
 from xihenet import estimators
 from xihenet.metrics import shc_rmse
 from xihenet.records import UnitSphereCloud
-from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 PAPER_RMSE = {512: 0.0934, 768: 0.0960, 1024: 0.0959, 1280: 0.0941, 1536: 0.0938, 1792: 0.0940, 2048: 0.0942}
@@ -33,9 +32,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     rooms, rng = [view.room for view in found], options.rng
     cases = of_rooms("views", rooms)
     sizes = (512, 1280, 2048) if options.quick else tuple(PAPER_RMSE)
-    clouds = {
-        n: [sample_unit_sphere(view.points, view.place.position_m, AnchorLattice(n)) for view in found] for n in sizes
-    }
+    clouds = {n: [view.cloud(AnchorLattice(n)) for view in found] for n in sizes}
     for n in sizes:
         shares = measured([cloud.is_set.mean() for cloud in clouds[n]], rng, groups=rooms)
         paper = NON_EMPTY if n == 1280 else None

@@ -14,7 +14,6 @@ from xihe_blender.lab.paper.clouds import views, walked, with_truth
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, ArrayInt
-from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
@@ -92,7 +91,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         yield Row(
             f"{name}, spread of area over mean", "of the mean", *spread, "cannot be compared", AREA, cases="anchors"
         )
-        clouds = [sample_unit_sphere(view.points, view.place.position_m, lattice) for view in found]
+        clouds = [view.cloud(lattice) for view in found]
         off = [100 * abs(cloud.is_set.mean() - own[name][cloud.is_set].sum()) for cloud in clouds]
         wrong = measured(off, rng, groups=seen_in)
         what = f"{name}, share of set anchors off the share of the sphere"

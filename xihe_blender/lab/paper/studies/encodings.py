@@ -22,7 +22,6 @@ from xihe_blender.lab.paper.records import (
 )
 from xihenet.codec import METHODS, EncodingMethod, encode_cloud
 from xihenet.edge.bench import times_ms
-from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 PAPER: dict[EncodingMethod, tuple[int, int, float]] = {
@@ -47,7 +46,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     found = list(views(sessions, 20 if options.quick else 100))
     if len(found) < 2:
         raise UserError("fewer than two frames of the sessions have a place in view")
-    clouds = [sample_unit_sphere(view.points, view.place.position_m, lattice) for view in found]
+    clouds = [view.cloud(lattice) for view in found]
     rooms, ms = [view.room for view in found], {}
     for method, (unit, paper_bytes, paper_ms) in PAPER.items():
         record = METHODS[method].bytes_per_record

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -17,7 +17,7 @@ from xihenet.edge.bench import random_cloud, times_ms
 from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, PointCloud
-from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
+from xihenet.sampling import sample_farthest, sample_uniform
 from xihenet.sphere import AnchorLattice
 
 N_POINTS, N_SEEDS = 1280, 5
@@ -44,9 +44,9 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     of_mean = np.array([shc_rmse(_mean_elsewhere(view, found), view.place.true_ldr) for view in found])
     cases = of_rooms("views", rooms)
     errors = {MEAN: of_mean, **{name: _errors(name, found) for name in ("ambient", "projection", "xihenet", "lattice")}}
-    drawn = [_point_errors(found, seed, is_far=False) for seed in range(N_SEEDS)]
+    drawn = [_errors("pointar", found, _drawn(found, sample_uniform, seed)) for seed in range(N_SEEDS)]
     errors["pointar"] = np.mean(drawn, axis=0)
-    errors[FARTHEST] = _point_errors(found, 0, is_far=True)
+    errors[FARTHEST] = _errors("pointar", found, _drawn(found, sample_farthest, 0))
     for name, each in errors.items():
         of_all = measured(each, rng, groups=rooms)
         yield Row(f"{name}: error", "SHC RMSE", *of_all, "other data", ERROR, PAPER.get(name), cases)
@@ -67,34 +67,20 @@ def _mean_elsewhere(view: View, found: Sequence[View]) -> ArrayF64:
     return np.asarray(np.mean(means, axis=0))
 
 
-def _errors(name: str, found: Sequence[View]) -> ArrayF64:
+def _errors(name: str, found: Sequence[View], points: Sequence[PointCloud] | None = None) -> ArrayF64:
+    """Of light from each view's cloud, and from `points` or all that it shows."""
     estimator, lattice = estimators.load(name, N_POINTS, "ldr"), AnchorLattice(N_POINTS)
     errors = []
-    for view in found:
-        cloud = sample_unit_sphere(view.points, view.place.position_m, lattice)
-        context = _context(view, view.points)
-        errors.append(shc_rmse(estimator.estimate(cloud, context), view.place.true_ldr))
+    for view, seen in zip(found, points or [view.points for view in found], strict=True):
+        context = EstimateContext(view.frame, seen, view.place.position_m, None, view.exposure)
+        errors.append(shc_rmse(estimator.estimate(view.cloud(lattice), context), view.place.true_ldr))
     return np.array(errors)
 
 
-def _point_errors(found: Sequence[View], seed: int, *, is_far: bool) -> ArrayF64:
-    """Of the network on points that are drawn evenly, or each the farthest from those before."""
-    estimator, lattice, rng = (
-        estimators.load("pointar", N_POINTS, "ldr"),
-        AnchorLattice(N_POINTS),
-        np.random.default_rng(seed),
-    )
-    errors = []
-    for view in found:
-        points = replace(view.points, grid=None)
-        points = (sample_farthest if is_far else sample_uniform)(points, N_POINTS, rng)
-        cloud = sample_unit_sphere(view.points, view.place.position_m, lattice)
-        errors.append(shc_rmse(estimator.estimate(cloud, _context(view, points)), view.place.true_ldr))
-    return np.array(errors)
-
-
-def _context(view: View, points: PointCloud) -> EstimateContext:
-    return EstimateContext(view.frame, points, view.place.position_m, None, view.exposure)
+def _drawn(found: Sequence[View], sample: Callable[..., PointCloud], seed: int) -> list[PointCloud]:
+    """Points of each view, drawn evenly or each the farthest from those before."""
+    rng = np.random.default_rng(seed)
+    return [sample(replace(view.points, grid=None), N_POINTS, rng) for view in found]
 
 
 def _throughput(options: StudyOptions) -> Iterator[Row]:

@@ -22,8 +22,8 @@ from xihenet import estimators
 from xihenet.camera import unproject_frame
 from xihenet.completeness import ENTROPY_SIZES, joint_entropy
 from xihenet.metrics import shc_rmse
-from xihenet.placement import rank_correlation, upward_points
-from xihenet.records import ArrayF64, PointCloud, RgbdFrame
+from xihenet.placement import evenly_chosen, rank_correlation, upward_points
+from xihenet.records import ArrayF64, PointCloud
 from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
@@ -107,9 +107,7 @@ class Scan:
 def scans(sessions: Sequence[Session], most: int, rng: np.random.Generator) -> Iterator[Scan]:
     """At most so many of each room, evenly over its walk; frames that show no upward surface are left out."""
     for session in sessions:
-        n = min(most, len(session.frames))
-        for k in range(n):
-            frame: RgbdFrame = session.frames[(2 * k + 1) * len(session.frames) // (2 * n)]
+        for frame in evenly_chosen(session.frames, most):
             upward, points = upward_points([frame]), unproject_frame(frame).points_m.astype(np.float64)
             if len(upward):
                 surface = np.asarray(upward[rng.integers(len(upward))], np.float64)
@@ -228,7 +226,7 @@ def against_accuracy(sessions: Sequence[Session], options: StudyOptions) -> Iter
         return
     bits = np.array([joint_entropy(view.points.points_m, view.place.position_m, sizes=SIZES) for view in found])
     lattice, places = AnchorLattice(N_ANCHORS), [(view.room, view.place.name) for view in found]
-    clouds = [sample_unit_sphere(view.points, view.place.position_m, lattice) for view in found]
+    clouds = [view.cloud(lattice) for view in found]
     for name in ("lattice", "xihenet"):
         estimator = estimators.load(name, N_ANCHORS, "ldr")
         lights = [estimator.estimate(cloud) for cloud in clouds]

@@ -14,7 +14,6 @@ from xihenet.edge.batching import Inference
 from xihenet.phone import LINKS
 from xihenet.phone.network import arrival_frames
 from xihenet.records import ArrayF64, ArrayInt
-from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 POSITIONS = (1, 2, 4)
@@ -33,7 +32,7 @@ RATIO = "The paper's is of university WiFi."
 def cloud_bytes(sessions: Sequence[Session], most: int) -> list[int]:
     """Of clouds of one view each. UserError where no place is in view."""
     lattice = AnchorLattice(1280)
-    clouds = [sample_unit_sphere(view.points, view.place.position_m, lattice) for view in views(sessions, most)]
+    clouds = [view.cloud(lattice) for view in views(sessions, most)]
     if not clouds:
         raise UserError("no frame of the sessions has a place in view")
     return [len(encode_cloud(cloud)) for cloud in clouds]

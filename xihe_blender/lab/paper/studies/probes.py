@@ -18,7 +18,6 @@ from xihenet.light_picture import three_spheres
 from xihenet.metrics import shc_rmse
 from xihenet.mirror_sphere import mirror_sphere_cloud
 from xihenet.records import ArrayBool, ArrayF64
-from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
 TRUE, WALK, VIEW, SPHERE, AMBIENT = (
@@ -97,7 +96,7 @@ def _lights(session: Session, options: StudyOptions) -> list[tuple[View, dict[st
             reflected = mirror_sphere_cloud(seen[0], place_m, sphere.radius_m, lattice)
             if not reflected.is_set.any():  # Too far away or hidden but for a rim: nothing can be read off it.
                 continue
-            one_view = sample_unit_sphere(view.points, place_m, lattice)
+            one_view = view.cloud(lattice)
             context = EstimateContext(view.frame, view.points, place_m, None, session.exposure)
             lights = {
                 WALK: network.estimate(walks[view.place.name], context),
