@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from light_parts import walked_scene
 
-from xihe_blender.capture.mirror_sphere import open_mirror_sphere
+from xihe_blender.capture.mirror_sphere import RADIUS_M, open_mirror_sphere
 from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.compare.methods import measure, open_comparer
 from xihe_blender.io.blender_output import only_our_output
@@ -51,7 +51,7 @@ def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dic
                 if seen is None:
                     continue
                 start = time.perf_counter()
-                cloud = mirror_sphere_cloud(seen[0], probe.at(entry.frame), sphere.radius_m, lattice)
+                cloud = mirror_sphere_cloud(seen[0], probe.at(entry.frame), RADIUS_M, lattice)
                 sh = projection.estimate(cloud)
                 found["probe"]["ms"].append(1e3 * (time.perf_counter() - start))
                 found["probe"]["render_s"].append(seen[1])

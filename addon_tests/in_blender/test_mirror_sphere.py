@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from tiny_scenes import box, empty_scene, material, phone
 
-from xihe_blender.capture.mirror_sphere import open_mirror_sphere
+from xihe_blender.capture.mirror_sphere import RADIUS_M, open_mirror_sphere
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihenet.estimators import load
@@ -31,7 +31,7 @@ def test_light_of_the_sphere_is_that_of_the_light_probe():
     with open_mirror_sphere(scene, RenderSettings((64, 48), 16)) as sphere:
         seen, render_s = sphere.seen_at(1, PLACE, exposure)
         assert sphere.seen_at(1, PLACE + [0, 0, 9], exposure) is None
-    cloud = mirror_sphere_cloud(seen, PLACE, sphere.radius_m, AnchorLattice(1280))
+    cloud = mirror_sphere_cloud(seen, PLACE, RADIUS_M, AnchorLattice(1280))
     with open_reference_probe(scene, [PLACE], ProbeSettings(size=96)) as probe:
         truth = probe.light_at(0, 1, exposure).measured.of("ldr")
     assert render_s > 0 and cloud.is_set.mean() > 0.5

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import RenderSettings, render_only_part, render_passes, working_scene
-from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects, phone_camera, session_time_s
+from xihe_blender.capture.render import RenderSettings, render_only_part, working_scene
+from xihe_blender.capture.scanner import CyclesScanner, leave_out_virtual_objects, phone_camera
 from xihe_blender.scene.sphere_rig import MIRROR, RIG_LOOKS, rig_material, sphere_mesh
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.camera import encode_exposed, part_around, sound_plane_depth
+from xihenet.camera import part_around
 from xihenet.records import ArrayF64, RgbdFrame
 
 NAME = "Xihe Mirror Sphere Seen"
@@ -34,7 +34,6 @@ class MirrorSphere:
 
     scene: bpy.types.Scene
     ball: bpy.types.Object
-    radius_m: float
 
     def seen_at(self, frame: int, centre_m: ArrayF64, exposure: float) -> tuple[RgbdFrame, float] | None:
         """What the phone's picture shows of the sphere around `centre_m` at `frame`, and the seconds of rendering.
@@ -46,19 +45,15 @@ class MirrorSphere:
         scene.frame_set(frame)
         render_only_part(scene, None)
         whole, pose = phone_camera(scene)
-        corners_m = centre_m + self.radius_m * np.array(np.meshgrid(*[(-1.2, 1.2)] * 3)).reshape(3, -1).T
+        corners_m = centre_m + RADIUS_M * np.array(np.meshgrid(*[(-1.2, 1.2)] * 3)).reshape(3, -1).T
         part = part_around(corners_m, whole, pose)
         if part is None or min(part.right - part.left, part.bottom - part.top) < SMALLEST_PX:
             return None
         render_only_part(scene, part)
-        rendered = render_passes(scene)
-        radiance, plane_depth_m = first_layer(rendered)
-        sound_m, _ = sound_plane_depth(plane_depth_m, radiance)
-        height, width = plane_depth_m.shape
+        width, height = part.right - part.left, part.bottom - part.top
         camera = replace(whole, width=width, height=height, cx=whole.cx - part.left, cy=whole.cy - part.top)
-        picture = encode_exposed(radiance, exposure)
-        time_s = session_time_s(scene)
-        return RgbdFrame(picture, sound_m, camera, pose, exposure, time_s=time_s, frame=frame), rendered.render_s
+        scanner = CyclesScanner(scene, exposure)
+        return scanner.scan(camera, pose), scanner.rendered.render_s
 
 
 @contextlib.contextmanager
@@ -77,4 +72,4 @@ def open_mirror_sphere(scene: bpy.types.Scene, settings: RenderSettings) -> Iter
         mesh.materials.append(material)
         ball = bpy.data.objects.new(NAME, mesh)
         working.collection.objects.link(ball)
-        yield MirrorSphere(working, ball, RADIUS_M)
+        yield MirrorSphere(working, ball)

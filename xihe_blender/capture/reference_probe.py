@@ -196,8 +196,8 @@ class ReferenceProbe:
             smooth = _exposed_view(rendered, gain)
             ldr, ldr_noise = _mean_and_noise(_lights_seen(views, smooth.radiance, order))
         cones, hdr, hdr_noise = self._measure(
-            lambda number: self._cones(index, number),
-            lambda cones: lights_of_cones([_rgb(cone.passes, "Combined") for cone in cones]) * gain,
+            lambda number: self.cones(index, number),
+            lambda cones: lights_of_cones([finite_rgb(cone.passes, "Combined") for cone in cones]) * gain,
         )
         seen: ArrayF32 = np.mean([view.radiance for view in views], axis=0) if smooth is None else smooth.radiance
         ball = seen / gain
@@ -239,11 +239,11 @@ class ReferenceProbe:
         self.scene.frame_set(frame)
         with _seen_as_by_glossy_rays(self.scene):
             rendered = self.view(index, 0, samples=MIRROR_SAMPLES, is_denoised=self.is_denoised)
-        return _rgb(rendered.passes, "Combined"), rendered.render_s
+        return finite_rgb(rendered.passes, "Combined"), rendered.render_s
 
-    def _cones(self, index: int, number: int) -> Rendered:
+    def cones(self, index: int, number: int, samples: int = 1) -> Rendered:
         """All light; every other picture is turned over, since a picture tells little of what lies on its rim."""
-        self.look_at_cones(index, is_turned=number % 2 == 1)
+        self.look_at_cones(index, samples, is_turned=number % 2 == 1)
         return self._render(number)
 
     def look_at_cones(self, index: int, samples: int = 1, *, is_turned: bool = False) -> None:
@@ -282,8 +282,8 @@ def _exposed_view(rendered: Rendered, gain: np.float32) -> _View:
     passes = rendered.passes
     # From Blender 5 on their names are whole words.
     lamps, sky = ("Emission", "Environment") if "Emission.R" in passes else ("Emit", "Env")
-    emission = (_rgb(passes, lamps) + _rgb(passes, sky)) * gain
-    return _View(_rgb(passes, "Combined") * gain, emission, rendered.render_s)
+    emission = (finite_rgb(passes, lamps) + finite_rgb(passes, sky)) * gain
+    return _View(finite_rgb(passes, "Combined") * gain, emission, rendered.render_s)
 
 
 def _lights_seen(views: Sequence[_View], smooth: ArrayF32 | None, order: int) -> ArrayF64:
@@ -429,6 +429,6 @@ def _cone_material() -> bpy.types.Material:
     return material
 
 
-def _rgb(passes: dict[str, ArrayF32], name: str) -> ArrayF32:
+def finite_rgb(passes: dict[str, ArrayF32], name: str) -> ArrayF32:
     """A pass as a picture; a renderer's broken pixels are black, as they are on a screen."""
     return np.nan_to_num(stacked_rgb(passes, name), copy=False, nan=0.0, posinf=0.0, neginf=0.0)

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from xihe_blender.capture.reference_probe import SEED_STEP, ReferenceProbe
-from xihe_blender.capture.render import MAX_SEED, render_passes, stacked_rgb
+from xihe_blender.capture.reference_probe import ReferenceProbe, finite_rgb
 from xihenet.mirror_ball import project_mirror_ball
 from xihenet.records import ArrayF32, ArrayF64
 from xihenet.satin_ball import N_OF_ORDER_2, ORDER, SatinBall, mean_square, satin_of_cones
@@ -23,13 +22,8 @@ N_PICTURES = 8
 def satin_ball_at(probe: ReferenceProbe, index: int, frame: int, *, exposure: float, samples: int) -> SatinBall:
     """The ball at the `index`-th position of `probe` in `frame`, `samples` rays in each pixel of all pictures."""
     probe.scene.frame_set(frame)
-    pictures = []
-    for number in range(N_PICTURES):
-        probe.look_at_cones(index, max(1, samples // N_PICTURES), is_turned=number % 2 == 1)
-        probe.scene.cycles.seed = (probe.settings.seed * SEED_STEP + number) % MAX_SEED
-        picture = stacked_rgb(render_passes(probe.scene).passes)
-        pictures.append(np.nan_to_num(picture, copy=False, nan=0.0, posinf=0.0, neginf=0.0))
-    return satin_ball_of(pictures, exposure)
+    cones = [probe.cones(index, number, max(1, samples // N_PICTURES)) for number in range(N_PICTURES)]
+    return satin_ball_of([finite_rgb(seen.passes, "Combined") for seen in cones], exposure)
 
 
 def satin_ball_of(pictures: Sequence[ArrayF32], exposure: float) -> SatinBall:

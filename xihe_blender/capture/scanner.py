@@ -58,7 +58,10 @@ class CyclesScanner:
         return phone_camera(self.scene)
 
     def acquire_environment_scan(self) -> RgbdFrame:
-        intrinsics, world_from_camera = phone_camera(self.scene)
+        return self.scan(*phone_camera(self.scene))
+
+    def scan(self, intrinsics: Intrinsics, world_from_camera: ArrayF64) -> RgbdFrame:
+        """What this camera sees, which may be a part of the scene's."""
         self.rendered = render_passes(self.scene)
         radiance, plane_depth_m = first_layer(self.rendered)
         colour = encode_exposed(radiance, self.exposure)

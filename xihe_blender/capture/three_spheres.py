@@ -32,7 +32,6 @@ class ThreeSpheres:
     scene: bpy.types.Scene
     ball: bpy.types.Object
     materials: list[bpy.types.Material]
-    radius_m: float
 
     def seen_at(self, frame: int, centre_m: ArrayF64, exposure: float) -> ArrayF32:
         """(S, 3 S, 3) radiance times `exposure` of mirror, matte silver and diffuse sphere, 0 around them.
@@ -42,7 +41,7 @@ class ThreeSpheres:
         scene, camera = self.scene, self.scene.camera
         metres = metres_per_unit(scene)
         self.ball.location = tuple(centre_m / metres)
-        camera.location = tuple((centre_m - [0, 2 * self.radius_m, 0]) / metres)
+        camera.location = tuple((centre_m - [0, 2 * RADIUS_M, 0]) / metres)
         scene.frame_set(frame)
         pictures = []
         for material in self.materials:
@@ -87,4 +86,4 @@ def open_three_spheres(
         for item in (ball, camera):
             working.collection.objects.link(item)
         working.camera = camera
-        yield ThreeSpheres(working, ball, materials, RADIUS_M)
+        yield ThreeSpheres(working, ball, materials)

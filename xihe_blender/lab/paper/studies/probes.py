@@ -75,7 +75,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
 
 def _lights(session: Session, options: StudyOptions) -> list[tuple[View, dict[str, ArrayF64]]]:
     """Views in which something is seen in the sphere, and each method's light at their places."""
-    from xihe_blender.capture.mirror_sphere import open_mirror_sphere
+    from xihe_blender.capture.mirror_sphere import RADIUS_M, open_mirror_sphere
     from xihe_blender.capture.render import RenderSettings
     from xihe_blender.lab.paper.sessions import open_walk
 
@@ -93,7 +93,7 @@ def _lights(session: Session, options: StudyOptions) -> list[tuple[View, dict[st
             seen = sphere.seen_at(view.frame.frame, place_m, session.exposure)
             if seen is None:
                 continue
-            reflected = mirror_sphere_cloud(seen[0], place_m, sphere.radius_m, lattice)
+            reflected = mirror_sphere_cloud(seen[0], place_m, RADIUS_M, lattice)
             if not reflected.is_set.any():  # Too far away or hidden but for a rim: nothing can be read off it.
                 continue
             one_view = view.cloud(lattice)
