@@ -12,7 +12,6 @@ from pathlib import Path
 
 from xihe_blender.capture.all_around import N_VIEWS, AllAroundScanner, open_all_around
 from xihe_blender.capture.phone_surfaces import load_surfaces, save_surfaces, surfaces_in
-from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.satin_probe import satin_ball_at
 from xihe_blender.io.exr import read_radiance, write_radiance
 from xihe_blender.io.json_records import as_json, from_json
@@ -93,12 +92,10 @@ def measure_balls(run: PreparedRun, wanted: Iterable[tuple[int, Probe]]) -> Job[
     missing = [(f, probe) for f, probe in wanted if kept_json(_ball_file(run, f, probe), _read_ball) is None]
     if not missing:
         return
-    probes, items = run.plan.probes, {item.name: item for item in run.plan.objects}
-    positions_m, objects = [p.position_m for p in probes], [items[p.object_name] for p in probes]
-    with open_reference_probe(run.scene, positions_m, run.reference, objects) as reference_probe:
+    with run.open_probes(run.plan.probes) as reference_probe:
         for done, (frame, probe) in enumerate(missing):
             yield Progress(done, len(missing), f"measuring the light at {probe.name} in frame {frame}")
-            index, samples = probes.index(probe), run.reference.max_samples
+            index, samples = run.plan.probes.index(probe), run.reference.max_samples
             reference_probe.move(index, probe.at(frame))
             ball = satin_ball_at(reference_probe, index, frame, exposure=run.exposure, samples=samples)
             write_json(_ball_file(run, frame, probe), as_json(ball))

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.capture.phone_surfaces import ask_for_surfaces, load_surfaces, save_surfaces, surfaces_in
-from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe, open_reference_probe
+from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe
 from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner, session_time_s
 from xihe_blender.io.exr import read_radiance, write_radiance
 from xihe_blender.io.json_records import as_json, from_json
@@ -201,9 +201,7 @@ def _measure_missing(run: PreparedRun, work_s: dict[int, float]) -> Iterator[Pro
     missing = [(frame, probe) for frame, probe in asked if not _is_measured(run, frame, probe)]
     if not missing:
         return
-    probes, items = run.plan.probes, {item.name: item for item in run.plan.objects}
-    positions_m, objects = [p.position_m for p in probes], [items[p.object_name] for p in probes]
-    with open_reference_probe(run.scene, positions_m, run.reference, objects) as reference_probe:
+    with run.open_probes(run.plan.probes) as reference_probe:
         done_shares = _done_shares([run.reuse.probes[frame, probe.name] == frame for frame, probe in missing])
         for (frame, probe), done_share in zip(missing, done_shares, strict=True):
             yield run.progress("reference light", done_share, f"measuring the light at {probe.name} in frame {frame}")

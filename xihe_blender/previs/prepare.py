@@ -6,6 +6,7 @@ and kept in the run's folder, so that a resumed run does the same without lookin
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import math
@@ -15,7 +16,7 @@ from dataclasses import dataclass, replace
 import bpy
 
 from xihe_blender.apply.reflection_pictures import light_called_for
-from xihe_blender.capture.reference_probe import ProbeSettings
+from xihe_blender.capture.reference_probe import ProbeSettings, ReferenceProbe, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
 from xihe_blender.io.json_records import Json, as_json, from_json
@@ -76,6 +77,12 @@ class PreparedRun:
         """Those that the camera sees at `frame`; none if it is not captured."""
         seen = self.survey.frames[frame].in_view if frame in self.needs.delivered else ()
         return [probe for probe in self.plan.probes if probe.name in seen]
+
+    def open_probes(self, places: Sequence[Probe]) -> contextlib.AbstractContextManager[ReferenceProbe]:
+        """Light probes at `places`, lit as the objects are that these are of."""
+        items = {item.name: item for item in self.plan.objects}
+        objects = [items.get(place.object_name) for place in places]
+        return open_reference_probe(self.scene, [place.position_m for place in places], self.reference, objects)
 
     @property
     def estimator(self) -> Estimator:
@@ -182,11 +189,9 @@ def prepare_run(
 
 def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: CaptureNeeds) -> RenderReuse:
     """Of a run that captures what `needs` asks for."""
-    states = {frame: one.state for frame, one in survey.frames.items()}
-    if effects["motion blur"].state == "on":
-        states = each_its_own(states)
+    states = each_its_own(survey.frames) if effects["motion blur"].state == "on" else survey.states
     in_view = {frame: one.in_view for frame, one in survey.frames.items() if frame in needs.captured}
-    return plan_render_reuse(states, in_view, {frame: one.moved for frame, one in survey.frames.items()})
+    return plan_render_reuse(states, in_view, survey.moved)
 
 
 def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:

@@ -14,7 +14,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.three_spheres import open_three_spheres
 from xihe_blender.errors import UserError
 from xihe_blender.io.exr import write_radiance
@@ -38,7 +37,7 @@ from xihenet.captures.writing.pictures import Form
 from xihenet.colour import linear_to_srgb
 from xihenet.formats import format_count
 from xihenet.recording import SESSION_FILE, load_frame, save_frame, write_session
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.records import RgbdFrame
 
 WORK = "a recording"
 TRUTH_FILE = "truth.json"
@@ -140,18 +139,13 @@ def truth_places(plan: PrevisPlan, wishes: RecordWishes) -> tuple[Probe, ...]:
 def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command: str) -> Job[None]:
     """Light probes and spheres at `places`, in the first frame and wherever the light or the place is another."""
     frames = run.plan.frames
-    states = {frame: run.survey.frames[frame].state for frame in frames}
     names = {frame: tuple(place.name for place in places) for frame in frames}
-    moved = {frame: run.survey.frames[frame].moved for frame in frames}
-    source = plan_render_reuse(states, names, moved).probes
+    source = plan_render_reuse(run.survey.states, names, run.survey.moved).probes
     asked = [(k, place, f) for f in frames for k, place in enumerate(places) if source[f, place.name] == f]
     found = []
-    items = {item.name: item for item in run.plan.objects}
-    positions_m: list[ArrayF64] = [place.position_m for place in places]
-    objects = [items.get(place.object_name) for place in places]
     lights, shown = [], []
     # All of one kind before the other: Cycles keeps a room's geometry between the renders of one scene.
-    with open_reference_probe(run.scene, positions_m, run.reference, objects) as probe:
+    with run.open_probes(places) as probe:
         for done, (k, place, frame) in enumerate(asked):
             yield Progress(done, 2 * len(asked), f"measuring the true light at {place.name} in frame {frame}")
             probe.move(k, place.at(frame))

@@ -128,9 +128,8 @@ def prepare_recorded(
         settings = replace(settings, light=light_called_for(plan.objects))
     effects = plan_effects(survey.required, overrides_in_force(scene, settings.effect_choices))
     phone = choose_phone(scene, survey, settings)
-    states = each_its_own({frame: one.state for frame, one in survey.frames.items()})
     captured = {frame: one.in_view for frame, one in survey.frames.items() if frame in phone.needs.captured}
-    reuse = plan_render_reuse(states, captured, {frame: one.moved for frame, one in survey.frames.items()})
+    reuse = plan_render_reuse(each_its_own(survey.frames), captured, survey.moved)
     assert settings.exposure is not None
     run = PreparedRun(
         scene, plan, survey, outputs, settings, loaded, settings.exposure, effects, SampleCount(0), phone, phone.needs,

@@ -80,10 +80,18 @@ class SceneSurvey:
         """Names of the estimation positions in view, by those frames that see any."""
         return {frame: one.in_view for frame, one in self.frames.items() if one.in_view}
 
+    @property
+    def states(self) -> dict[int, SceneState]:
+        return {frame: one.state for frame, one in self.frames.items()}
+
+    @property
+    def moved(self) -> dict[int, Mapping[str, tuple[float, ...]]]:
+        """Where estimation positions are that are not at their first place, by frame and name."""
+        return {frame: one.moved for frame, one in self.frames.items()}
+
     def followed(self, plan: PrevisPlan) -> PrevisPlan:
         """`plan` with the places to which its estimation positions move."""
-        moved = {frame: one.moved for frame, one in self.frames.items()}
-        return replace(plan, probes=tuple(_followed(probe, moved) for probe in plan.probes))
+        return replace(plan, probes=tuple(_followed(probe, self.moved) for probe in plan.probes))
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,8 +165,7 @@ def _is_steady(scene: bpy.types.Scene, plan: PrevisPlan, frames: Sequence[int]) 
 
     survey = survey_path(scene, plan)
     names = {frame: tuple(probe.name for probe in plan.probes) or ("room",) for frame in frames}
-    moved = {frame: survey.frames[frame].moved for frame in frames}
-    reuse = plan_render_reuse({frame: survey.frames[frame].state for frame in frames}, names, moved)
+    reuse = plan_render_reuse(survey.states, names, survey.moved)
     return all(made_in == frames[0] for made_in in reuse.probes.values())
 
 
