@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import RunOutputs, written_whole
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import light_of_change, panorama_of_change
 from xihe_blender.io.run_results import FrameResult, RunResults
+from xihe_blender.report.document import png_url
 from xihe_blender.report.values import escape
 from xihenet.formats import format_number, format_percent
 from xihenet.light.environments import encode_hdr, laid_out
@@ -57,17 +58,22 @@ class ViewedObject:
     radius: float
 
 
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
+
+
 @dataclass
 class _Stored:
     """What several frames share, each once: its place by its content."""
 
+    as_text: Callable[[bytes], str] = _base64
     contents: list[str] = field(default_factory=list)
     places: dict[bytes, int] = field(default_factory=dict)
 
-    def place(self, content: bytes, prefix: str = "") -> int:
+    def place(self, content: bytes) -> int:
         if content not in self.places:
             self.places[content] = len(self.contents)
-            self.contents.append(prefix + base64.b64encode(content).decode())
+            self.contents.append(self.as_text(content))
         return self.places[content]
 
 
@@ -94,7 +100,7 @@ def viewer_page(
     results: RunResults, outputs: RunOutputs, seen: Mapping[int, RgbdFrame], objects: Sequence[ViewedObject]
 ) -> str:
     """The page. `seen` as of `viewed_frames`, all of one size; `objects` have a matrix for each of them, or one."""
-    pictures, depths, reflections = _Stored(), _Stored(), _Stored()
+    pictures, depths, reflections = _Stored(png_url), _Stored(), _Stored()
     methods = _methods(results, outputs.folder, reflections)
     by_number = {frame.frame: frame for frame in results.frames}
     frames = [_frame(results, by_number[number], one, outputs, pictures, depths) for number, one in seen.items()]
@@ -120,17 +126,11 @@ def viewer_page(
     )
 
 
-def write_viewer(path: Path, page: str) -> None:
-    """Write it, whole or not at all; OSError where it cannot be written."""
-    with written_whole(path) as beside:
-        beside.write_text(page, encoding="utf-8")
-
-
 def _object(one: ViewedObject) -> dict[str, Any]:
     same = all(np.allclose(matrix, one.matrices[0], atol=1e-6) for matrix in one.matrices)
     return {
         "name": one.name,
-        "glb": base64.b64encode(one.glb).decode(),
+        "glb": _base64(one.glb),
         "matrices": [_by_column(matrix) for matrix in (one.matrices[:1] if same else one.matrices)],
         "middle": one.middle.tolist(),
         "radius": one.radius,
@@ -151,12 +151,12 @@ def _frame(
     truth = None
     if compared is not None and "ground_truth" in compared.pictures:
         file = outputs.folder / compared.pictures["ground_truth"]
-        truth = pictures.place(file.read_bytes(), "data:image/png;base64,") if file.is_file() else None
+        truth = pictures.place(file.read_bytes()) if file.is_file() else None
     coverage = [probe.coverage for probe in frame.probes]
     return {
         "frame": frame.frame,
         "time_s": frame.time_s,
-        "captured": pictures.place(encode_png(seen.srgb_u8), "data:image/png;base64,"),
+        "captured": pictures.place(encode_png(seen.srgb_u8)),
         "truth": truth,
         "depth": depths.place(packed),
         "camera": {

@@ -8,9 +8,10 @@ from pathlib import Path
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults
+from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.viewer.gltf import viewed_objects
-from xihe_blender.viewer.page import viewed_frames, viewer_page, write_viewer
+from xihe_blender.viewer.page import viewed_frames, viewer_page
 
 
 def save_viewer(
@@ -37,7 +38,7 @@ def save_viewer(
     viewed = viewed_objects(scene, [there[name] for name in wanted], list(seen))
     path = (folder if out is None else out) / "viewer.html"
     try:
-        write_viewer(path, viewer_page(results, outputs, seen, viewed))
+        write_document(path, viewer_page(results, outputs, seen, viewed))
     except OSError as error:
         raise UserError(f"cannot write {path} ({error.strerror}): choose another folder for --out") from error
     return path
