@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike
 from xihenet.backend import LightBackend, as_inference_backend, estimate_light, estimate_lights
 from xihenet.buffers import FrameAtPosition, PositionBuffers, merge, merge_in_sight
 from xihenet.camera import in_view, unproject_frame
-from xihenet.carried_light import CarriedLight
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
 from xihenet.light import BetweenEstimates
+from xihenet.light.carried_light import CarriedLight
 from xihenet.light.key_light import split_light
 from xihenet.light.reflections import N_DIRECTIONS, N_NEIGHBOURS, thinned
 from xihenet.light_change import LightFollowing, follow_coarser, follow_light
@@ -68,7 +68,7 @@ class ControllerSettings:
     # Whether they say what was seen on the finer lattice of reflections, see `xihenet.light.reflections`.
     has_reflections: bool = False
     # What becomes of the light in force until the next estimate: carried on as the room's light changes, see
-    # `xihenet.carried_light`, or kept as it was estimated, as in the paper.
+    # `xihenet.light.carried_light`, or kept as it was estimated, as in the paper.
     between_estimates: BetweenEstimates = "kept"
 
     def __post_init__(self) -> None:

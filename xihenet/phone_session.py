@@ -14,9 +14,9 @@ import numpy as np
 
 from xihenet import estimators
 from xihenet.backend import LocalBackend
-from xihenet.carried_light import BLEND_S, CarriedLight, blended
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import EstimateContext, Estimator
+from xihenet.light.carried_light import BLEND_S, CarriedLight, blended
 from xihenet.light.key_light import mean_light
 from xihenet.light.reflections import fill_reflections
 from xihenet.phone import EstimatesUnderWay, Link, Request

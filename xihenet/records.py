@@ -402,7 +402,7 @@ class LightEstimate:
     key : the key light that is a part of it; None for none, and where the session asks for none
     other_keys : the key lights that are a part of `others`, of those that have one
     reflected : what was seen so far, on the finer lattice of reflections; None where nobody asked for it
-    seen : what the estimate's frame alone showed, see `xihenet.carried_light`; None where nobody knows
+    seen : what the estimate's frame alone showed, see `xihenet.light.carried_light`; None where nobody knows
     """
 
     sh_radiance: ArrayF64

@@ -25,8 +25,8 @@ class ReplayedStep:
     """What one frame brought: reports by position, and what is known there after it.
 
     `lights` are those in force, none before the first valid one, and `gains` (3,) what their estimates were multiplied
-    by to carry them here, see `xihenet.carried_light`; `known` gives what the session knows of a position when it is
-    asked, which may be after later steps.
+    by to carry them here, see `xihenet.light.carried_light`; `known` gives what the session knows of a position when it
+    is asked, which may be after later steps.
     """
 
     frame: int

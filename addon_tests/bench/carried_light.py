@@ -5,8 +5,8 @@
 
 For a finished previs run and each link: the mean SHC RMSE against the rendered truth of the light in force where it is
 kept from estimate to estimate, where it is multiplied by the ratio of two readings of the ambient sensor, and where it
-is carried as `xihenet.carried_light` does; and of an estimate made and there in every frame. An estimate over a link
-comes in the first frame after its arrival.
+is carried as `xihenet.light.carried_light` does; and of an estimate made and there in every frame. An estimate over a
+link comes in the first frame after its arrival.
 
 With `--lamp`, for a recording whose light stands still: the same under a lamp that we put in, the pictures times a
 factor. Its light is known without any truth: that of every frame's own estimate. `off` is the relative difference
@@ -31,9 +31,9 @@ from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.camera import sensed_ambient
 from xihenet.captures import open_capture
-from xihenet.carried_light import BLEND_S, CarriedLight, blended
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.controller import ControllerSettings, XiheController
+from xihenet.light.carried_light import BLEND_S, CarriedLight, blended
 from xihenet.metrics import shc_rmse
 from xihenet.phone import LINKS, EstimatesUnderWay
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, UnitSphereCloud

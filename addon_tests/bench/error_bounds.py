@@ -39,12 +39,12 @@ from xihenet.estimators.lattice_network import (
     SMALLEST_SHARE,
     _linear,
 )
+from xihenet.estimators.ring_grid import ring_grid, turns_of_light
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.metrics import shc_rmse
 from xihenet.mirror_ball import panorama_of_ball
 from xihenet.panorama import panorama_directions, project_panorama, solid_angles
 from xihenet.records import ArrayF64, Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
-from xihenet.ring_grid import ring_grid, turns_of_light
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import basis, dering, irradiance, project_anchors
 from xihenet.sphere import AnchorLattice

@@ -26,7 +26,7 @@ from xihe_blender.compare.methods import composite, open_comparer
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet import estimators, sh
 from xihenet.backend import LocalBackend
-from xihenet.light_picture import SILVER_ROUGHNESS, sphere_mask, three_spheres
+from xihenet.light.light_picture import SILVER_ROUGHNESS, sphere_mask, three_spheres
 from xihenet.records import Intrinsics, RgbdFrame
 
 SIDE = 48

@@ -20,7 +20,7 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.captures import open_capture
 from xihenet.captures.writing import WRITERS
-from xihenet.light_picture import sphere_mask
+from xihenet.light.light_picture import sphere_mask
 from xihenet.recording import load_frame
 from xihenet.replay import never_in_view, replay
 

@@ -14,7 +14,7 @@ from xihenet import __version__, estimators, sh
 from xihenet.camera import encode_exposed, unproject_frame
 from xihenet.estimators.projection import Projection
 from xihenet.frame_files import read_camera, read_frame
-from xihenet.light_picture import light_picture
+from xihenet.light.light_picture import light_picture
 from xihenet.png import encode_png
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice

@@ -7,7 +7,7 @@ from scipy.integrate import quad
 from addon_tests.pure.made import constant
 from xihenet import sh
 from xihenet.colour import linear_to_srgb
-from xihenet.light_picture import (
+from xihenet.light.light_picture import (
     BACKGROUND,
     SILVER_ROUGHNESS,
     light_picture,

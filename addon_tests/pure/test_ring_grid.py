@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xihenet.ring_grid import SIZES, TURNS, ring_grid, turns_of_light
+from xihenet.estimators.ring_grid import SIZES, TURNS, ring_grid, turns_of_light
 from xihenet.sh_basis import basis
 
 RANDOM = np.random.default_rng(0).normal(size=(40_000, 3))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xihenet.light_picture import SPHERES, sphere_mask, three_spheres
+from xihenet.light.light_picture import SPHERES, sphere_mask, three_spheres
 from xihenet.metrics import angular_error, image_rmse, shc_rmse, si_rmse
 from xihenet.sh import rotate
 from xihenet.training.scores import (

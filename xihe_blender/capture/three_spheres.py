@@ -1,7 +1,7 @@
 """The field's three spheres at a place in the room, path-traced: what an app's light should make of them.
 
-Seen as `xihenet.light_picture` draws light: orthographic, horizontally along +Y, each filling its picture, and each
-reflecting all light, so that constant light of radiance L shows L everywhere. The sphere is a part of the room.
+Seen as `xihenet.light.light_picture` draws light: orthographic, horizontally along +Y, each filling its picture, and
+each reflecting all light, so that constant light of radiance L shows L everywhere. The sphere is a part of the room.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from xihe_blender.capture.render import RenderSettings, render_passes, working_s
 from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects
 from xihe_blender.scene.sphere_rig import RIG_LOOKS, rig_material, sphere_mesh
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.light_picture import sphere_mask
+from xihenet.light.light_picture import sphere_mask
 from xihenet.records import ArrayF32, ArrayF64
 
 NAME = "Xihe Three Spheres Seen"

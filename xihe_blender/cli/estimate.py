@@ -25,7 +25,7 @@ from xihenet.camera import in_view, invalid_pixels, project_points, unproject_fr
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.frame_files import FrameCamera, off_centre, read_camera, read_frame
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
-from xihenet.light_picture import light_picture
+from xihenet.light.light_picture import light_picture
 from xihenet.picture_size import MOST_PIXELS
 from xihenet.png import write_png
 from xihenet.records import ArrayF64, LightEstimate, PointCloud, RgbdFrame

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from xihenet.estimators.ring_grid import ring_grid
 from xihenet.estimators.weights_format import NetworkWeights, read_weights
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt
-from xihenet.ring_grid import ring_grid
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
 

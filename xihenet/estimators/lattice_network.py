@@ -20,7 +20,7 @@ sure enough of it: by half where it is `DOUBT` times the error that the network 
 
 What must not matter does not, by construction. Each channel is taken relative to its own mean, so that exposure and
 white balance act on the light as on the pictures, unless something is clipped. The layers that see the whole sphere see
-it turned by eighths about the vertical, and mirrored, with the same weights (`xihenet.ring_grid`).
+it turned by eighths about the vertical, and mirrored, with the same weights (`xihenet.estimators.ring_grid`).
 
 `xihenet.nets.lattice` is the same network in torch, plain and for training; tests hold the two within 1e-5. What makes
 this one fast: features come first and anchors last, (features, B, n), in the order in which they are pooled, so that
@@ -49,8 +49,8 @@ from xihenet.estimators.lattice_format import (
     quadrature_matrix,
     slot_order,
 )
+from xihenet.estimators.ring_grid import N_TURNS, ring_grid, turns_of_light
 from xihenet.records import FAR_M, ArrayBool, ArrayF32, ArrayF64
-from xihenet.ring_grid import N_TURNS, ring_grid, turns_of_light
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
 SMALLEST_MEAN = 1e-3  # Darker clouds are not brightened further: it would be noise.

@@ -97,9 +97,8 @@ def export_files(
     if twice := [stem for stem in stems if stems.count(stem) > 1]:
         raise ValueError(f"two lights would be written to files named {twice[0]!r}: rename one of the objects")
     known = PLATFORMS.get(platform)
-    convention = convention_of(platform, reading) if known is None or known.readings else None
-    if convention is None and reading is not None:
-        convention_of(platform, reading)
+    takes_a_picture = known is not None and not known.readings and reading is None
+    convention = None if takes_a_picture else convention_of(platform, reading)
     files: dict[str, bytes] = {}
     entries = []
     for one, stem in zip(lights, stems, strict=True):
@@ -230,11 +229,12 @@ def Xform "Light"
 def gltf_document(coefficients: Sequence[float], main: MainLight | None, picture: ArrayF64) -> dict[str, Any]:
     """A scene lit by EXT_lights_image_based, whose cube map is of the panorama, and by KHR_lights_punctual."""
     faces = [base64.b64encode(encode_png(face)).decode() for face in cube_faces(picture)]
+    nodes = {} if main is None else {"nodes": [0]}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"xihe {__version__}"},
         "extensionsUsed": ["EXT_lights_image_based"],
         "scene": 0,
-        "scenes": [{"nodes": [], "extensions": {"EXT_lights_image_based": {"light": 0}}}],
+        "scenes": [{**nodes, "extensions": {"EXT_lights_image_based": {"light": 0}}}],
         "images": [{"mimeType": "image/png", "uri": f"data:image/png;base64,{face}"} for face in faces],
         "extensions": {
             "EXT_lights_image_based": {
@@ -258,9 +258,6 @@ def gltf_document(coefficients: Sequence[float], main: MainLight | None, picture
         document["extensions"]["KHR_lights_punctual"] = {"lights": [light]}
         extension = {"KHR_lights_punctual": {"light": 0}}
         document["nodes"] = [{"name": "Key", "rotation": [x, y, z, w], "extensions": extension}]
-        document["scenes"][0]["nodes"] = [0]
-    else:
-        del document["scenes"][0]["nodes"]
     return document
 
 

@@ -45,7 +45,7 @@ from xihenet.estimators.lattice_network import (
     SMALLEST_SHARE,
     SQUARED_BAND,
 )
-from xihenet.ring_grid import N_TURNS, ring_grid, turns_of_light
+from xihenet.estimators.ring_grid import N_TURNS, ring_grid, turns_of_light
 from xihenet.sh import FACING_OFFSET, L1_VARIANCE, LEAST_WEIGHT, RESIDUAL_NOISE, SMALLEST_PENALTY
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
-from xihenet.light_picture import SPHERES
+from xihenet.light.light_picture import SPHERES
 from xihenet.training.calibration import CalibrationRow
 from xihenet.training.report import Figures, LearningPoint, Report, ReportHead, RoomFigures, Table, TableRow
 from xihenet.training.stress import StressGroup, StressRow

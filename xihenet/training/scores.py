@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.light_picture import SPHERES, sphere_transfer
+from xihenet.light.light_picture import SPHERES, sphere_transfer
 from xihenet.metering import LUMINANCE
 from xihenet.metrics import angles_deg, hues
 from xihenet.records import ArrayBool, ArrayF64

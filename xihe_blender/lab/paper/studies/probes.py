@@ -14,7 +14,7 @@ from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, me
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext
-from xihenet.light_picture import three_spheres
+from xihenet.light.light_picture import three_spheres
 from xihenet.metrics import shc_rmse
 from xihenet.mirror_sphere import mirror_sphere_cloud
 from xihenet.records import ArrayBool, ArrayF64
