@@ -20,7 +20,7 @@ from staging import add_three_sphere_rig, arc, main, open_stage, walk_phone
 
 from xihe_blender.lab.props.lighting import set_sky
 from xihe_blender.lab.props.shapes import Solid, add_solid, box_between
-from xihe_blender.lab.props.surfaces import glowing_evenly, plain
+from xihe_blender.lab.props.surfaces import plain
 
 LIGHT_RADIANCE, OUTSIDE_RADIANCE = 14.0, 0.05
 SHORT_BOX_MIDDLE, TALL_BOX_MIDDLE = (0.35, -0.3), (-0.35, 0.35)
@@ -51,7 +51,8 @@ def build() -> bpy.types.Scene:
     add_solid(room, "Tall box", block, white, location=(*TALL_BOX_MIDDLE, 0.0), turn_deg=17)
     corners = [(-0.3, -0.3, 1.995), (-0.3, 0.3, 1.995), (0.3, 0.3, 1.995), (0.3, -0.3, 1.995)]
     panel = Solid(np.array(corners), ((0, 1, 2, 3),))
-    add_solid(room, "Light", panel, glowing_evenly("Light", LIGHT_RADIANCE))
+    glowing = {"specular_ior_level": 0.0, "emission_color": (1, 1, 1), "emission_strength": LIGHT_RADIANCE}
+    add_solid(room, "Light", panel, plain("Light", (0.0, 0.0, 0.0), **glowing))
     set_sky(scene, [(0.0, (1.0, 1.0, 1.0)), (1.0, (1.0, 1.0, 1.0))], strength=OUTSIDE_RADIANCE)
     add_three_sphere_rig(scene, (*SHORT_BOX_MIDDLE, 0.6), 0.09)
     positions = arc((0.2, 0.0), 2.05, (-118, -64), (1.4, 1.25))

@@ -213,9 +213,3 @@ def glowing(name: str, kelvin: float, radiance: float) -> Material:
     tint = shader.add("Blackbody", {0: kelvin}, name="Temperature", label="Temperature")
     shader.set(shader.surface, {"Emission Color": tint.outputs[0], "Emission Strength": radiance})
     return shader.material
-
-
-def glowing_evenly(name: str, radiance: float) -> Material:
-    """A light panel of a known radiance, the same in all channels, that reflects nothing."""
-    black = {"base_color": (0.0, 0.0, 0.0), "specular_ior_level": 0.0}
-    return Shader(name, **black, emission_color=(1, 1, 1), emission_strength=radiance).material
