@@ -288,6 +288,15 @@ def test_while_a_run_lasts_nothing_else_can_be_done():
     assert bpy.context.window_manager.xihe.is_cancel_wanted
 
 
+def test_while_a_run_lasts_in_the_background_the_results_of_the_one_before_are_at_hand():
+    walk()
+    job = bpy.context.window_manager.xihe
+    job.is_running, job.works_here = True, False
+    reading = ("export_light", "go_to_trigger", "save_side_by_side", "save_viewer", "show_comparison")
+    said = {name: poll_message(getattr(bpy.ops.xihe, name)) for name in (*reading, "show_lit")}
+    assert [name for name in said if "under way" in said[name]] == ["show_lit"]
+
+
 def test_grey_buttons_of_objects():
     scene = walk()
     select("Phone")

@@ -31,6 +31,7 @@ from xihe_blender.addon.results_in_blender import (
     show_light,
     show_lit,
 )
+from xihe_blender.addon.run_operators import XIHE_OT_run
 from xihe_blender.addon.run_settings import run_and_show
 from xihe_blender.addon.runs_folder import found_folder, last_run, shown_runs
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
@@ -103,6 +104,13 @@ def test_a_run_that_is_stopped_leaves_no_folder_and_the_scene_as_it_was(tmp_path
         assert folder.exists()
     assert not folder.exists()
     assert differences(before, snapshot()) == ({}, [])
+
+
+def test_a_run_that_is_stopped_before_its_file_is_saved_leaves_no_folder(tmp_path):
+    scene = walk_for_the_panel(tmp_path)
+    with contextlib.closing(XIHE_OT_run._job(None, scene, in_background=True)) as job:
+        assert any(progress.doing == "saving a copy of the file" for progress in job)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_that_fails_leaves_no_folder_and_one_line(tmp_path):

@@ -20,3 +20,18 @@ def test_a_run_that_ended_early_says_how_to_go_on_and_where_its_console_is(tmp_p
             run_blocking(BackgroundRun(run.folder, process).follow())
         console = run.outputs.console
         assert str(raised.value) == f"the run ended early{ended}: Resume goes on with it. Its console is in {console}"
+
+
+def test_a_run_finds_its_scene_under_another_name_where_no_other_can_be_meant(tmp_path):
+    scene = bpy.context.scene
+    run = saved_for_run(scene, tmp_path, {})
+    asked = scene.name
+    scene.name = "Kitchen"
+    assert run.find_scene() == scene
+    other = bpy.data.scenes.new("Bath")
+    with pytest.raises(UserError, match=f"no scene is called '{asked}' any more: give the run's scene that name"):
+        run.find_scene()
+    other.name = asked
+    assert run.find_scene() == other
+    bpy.data.scenes.remove(other)
+    scene.name = asked

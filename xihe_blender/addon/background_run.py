@@ -27,6 +27,7 @@ import bpy
 
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.runs_folder import last_part
+from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import Parameters, as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json, written_whole
@@ -168,7 +169,7 @@ class BackgroundRun:
 
         UserError for a run that failed, and where its scene is not in the open file any more.
         """
-        name, shown = self.request.scene, Progress(0, 1, "starting Blender in the background")
+        shown = Progress(0, 1, "starting Blender in the background")
         with _edits_noted(self):
             looked = 0.0
             while self.is_under_way:
@@ -183,10 +184,19 @@ class BackgroundRun:
             raise UserError(said or f"{ended}: Resume goes on with it. Its console is in {self.outputs.console}")
         from xihe_blender.addon.results_in_blender import apply_results
 
-        scene = bpy.data.scenes.get(name)
-        if scene is None:
-            raise UserError(f"the scene {name!r} is not in this file any more; its run is in {self.folder}")
-        apply_results(scene, self.folder)
+        apply_results(self.find_scene(), self.folder)
+
+    def find_scene(self) -> bpy.types.Scene:
+        """The scene of the open file that it is a run of: that of its name, or the only one, which was renamed.
+
+        UserError where neither is there.
+        """
+        name = self.request.scene
+        rooms = [scene for scene in bpy.data.scenes if scene.library is None and ROOM not in scene]
+        found = [scene for scene in rooms if scene.name == name] or rooms
+        if len(found) > 1:
+            raise UserError(f"no scene is called {name!r} any more: give the run's scene that name and show it again")
+        return found[0]
 
 
 def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> BackgroundRun:

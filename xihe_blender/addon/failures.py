@@ -46,7 +46,7 @@ def failed(operator: bpy.types.Operator, context: bpy.types.Context, error: Base
     """Report `error` and give what the operator returns."""
     line = format_error(error)
     context.window_manager.xihe.error = line
-    operator.report({"ERROR"}, line)
+    operator.report({"ERROR"}, line[:1].upper() + line[1:])
     return {"CANCELLED"}
 
 

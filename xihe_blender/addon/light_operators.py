@@ -25,7 +25,7 @@ _views: dict[int, str] = {}
 
 class XIHE_OT_apply_light(Action, bpy.types.Operator):
     bl_idname = "xihe.apply_light"
-    bl_label = "Apply"
+    bl_label = "Apply Light"
     bl_description = "Put the light of the last run onto the timeline again, with its triggers, errors and pictures"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.has_cycles, polls.has_last_run)
@@ -124,8 +124,11 @@ def _after_load(*_: Any) -> None:
 
 class XIHE_OT_remove_light(Action, bpy.types.Operator):
     bl_idname = "xihe.remove_light"
-    bl_label = "Remove"
-    bl_description = "Delete everything that runs added to this file: worlds, markers, curves and pictures"
+    bl_label = "Remove Light"
+    bl_description = (
+        "Delete everything that runs added to this file: the scene Xihe Lit, worlds, lamps, markers, pictures, the "
+        "placement map and the camera Xihe Better Path. The runs' folders stay"
+    )
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_own_scene, polls.has_light)
 

@@ -195,7 +195,7 @@ class XIHE_PT_effects(StagePanel, bpy.types.Panel):
         effects = settings.effects
         if not effects:
             sentence(context, layout, "A run simulates the effects that the scene needs. List them:")
-            layout.operator("xihe.plan_effects", text="Plan Effects", icon="VIEWZOOM")
+            layout.operator("xihe.plan_effects", icon="VIEWZOOM")
             return
         layout.template_list(
             "XIHE_UL_effects", "", settings, "effects", settings, "active_effect", rows=N_EFFECTS, maxrows=N_EFFECTS
@@ -307,8 +307,8 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
             "xihe.show_room" if is_lit else "xihe.show_lit", icon="LOOP_BACK" if is_lit else "SHADING_RENDERED"
         )
         row = layout.row(align=True)
-        row.operator("xihe.apply_light", text="Apply Light")
-        row.operator("xihe.remove_light", text="Remove Light")
+        row.operator("xihe.apply_light")
+        row.operator("xihe.remove_light")
         row.prop(context.scene.xihe, "follows_objects", text="", icon="CON_FOLLOWTRACK")
 
 

@@ -15,7 +15,7 @@ from xihe_blender.jobs import Job
 
 class XIHE_OT_plan_effects(Action, bpy.types.Operator):
     bl_idname = "xihe.plan_effects"
-    bl_label = "Look at Scene"
+    bl_label = "Plan Effects"
     bl_description = "List the lighting and phone effects that the scene needs, and why; nothing is rendered"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.has_cycles)
@@ -51,7 +51,7 @@ class Measuring(polls.Conditional, ModalJob):
 
 class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
     bl_idname = "xihe.measure_run"
-    bl_label = "Estimate Time"
+    bl_label = "How Long?"
     bl_description = "Render a few small pictures to find out how long a run would take on this machine"
 
     def start_job(self, context: bpy.types.Context) -> Job[Any]:
@@ -70,7 +70,7 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
 class XIHE_OT_calibrate(Measuring, bpy.types.Operator):
     bl_idname = "xihe.calibrate"
     bl_label = "Calibrate"
-    bl_description = "Render a few small pictures of this scene to find out what each preset costs on this machine"
+    bl_description = "Render a few small pictures of this scene to find out what each Quality costs on this machine"
 
     def start_job(self, context: bpy.types.Context) -> Job[Any]:
         from xihe_blender.addon.run_settings import previs_settings

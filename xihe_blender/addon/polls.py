@@ -44,6 +44,11 @@ def is_idle(context: bpy.types.Context) -> str | None:
     return "A run is under way: wait for it, or cancel it" if context.window_manager.xihe.is_running else None
 
 
+def leaves_the_file(context: bpy.types.Context) -> str | None:
+    """`is_idle`, or all that is under way is a run in a second Blender: results of the one before are still there."""
+    return is_idle(context) if context.window_manager.xihe.works_here else None
+
+
 def is_running(context: bpy.types.Context) -> str | None:
     return None if context.window_manager.xihe.is_running else "No run is under way"
 

@@ -35,7 +35,7 @@ class XIHE_OT_go_to_trigger(polls.Conditional, bpy.types.Operator):
     bl_label = "Go to Trigger"
     bl_description = "Go to the frame of the previous or next trigger, and show its light and comparison"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_room, polls.has_triggers)
+    conditions = (polls.leaves_the_file, polls.is_room, polls.has_triggers)
 
     direction: bpy.props.EnumProperty(
         name="Direction",
@@ -70,7 +70,7 @@ class XIHE_OT_show_comparison(Action, bpy.types.Operator):
     bl_label = "Show Comparison"
     bl_description = "Show estimate and ground truth side by side in an Image Editor, at the nearest compared frame"
     bl_options = {"REGISTER"}
-    conditions = (polls.is_idle, polls.is_room, polls.has_last_run, polls.has_comparison)
+    conditions = (polls.leaves_the_file, polls.is_room, polls.has_last_run, polls.has_comparison)
 
     def act(self, context: bpy.types.Context) -> None:
         from xihe_blender.addon.results_in_blender import show_images, wipe_through_objects
@@ -92,7 +92,7 @@ class XIHE_OT_save_side_by_side(Action, bpy.types.Operator):
         "truth, estimate, and a line that wipes from one to the other"
     )
     bl_options = {"REGISTER"}
-    conditions = (polls.is_idle, polls.has_last_run, polls.has_comparison)
+    conditions = (polls.leaves_the_file, polls.has_last_run, polls.has_comparison)
 
     def act(self, context: bpy.types.Context) -> str:
         from xihe_blender.compare.side_by_side import save_side_by_side
@@ -110,7 +110,7 @@ class XIHE_OT_save_viewer(Action, bpy.types.Operator):
         "captured pictures, the timeline, and a line that wipes to the ground truth"
     )
     bl_options = {"REGISTER"}
-    conditions = (polls.is_idle, polls.has_last_run)
+    conditions = (polls.leaves_the_file, polls.has_last_run)
 
     def act(self, context: bpy.types.Context) -> str:
         page = viewer_of_run(last_run_folder(context.scene))
@@ -127,7 +127,7 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
         "and the main light apart. What each engine gets is in the documentation, on the page Light for engines"
     )
     bl_options = {"REGISTER"}
-    conditions = (polls.is_idle, polls.has_last_run)
+    conditions = (polls.leaves_the_file, polls.has_last_run)
 
     target: bpy.props.EnumProperty(
         name="Engine",

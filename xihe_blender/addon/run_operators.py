@@ -26,7 +26,7 @@ class Following(ModalJob):
 
     # Not REGISTER: repeating the last operator would run all of it again, without a window to cancel it in.
     bl_options = {"UNDO"}
-    cancelled = "The run was stopped: Resume goes on with it"
+    cancelled = "The run was stopped"
     folder: Path
     background: BackgroundRun | None = None
     """None for a run in this process."""
@@ -34,6 +34,7 @@ class Following(ModalJob):
     def follow(self, run: BackgroundRun) -> Job[None]:
         """The job of `run`, which is remembered: it is offered whenever the file does not show it."""
         self.background, self.folder = run, run.folder
+        self.cancelled = f"{Following.cancelled}: Resume goes on with it"
         state = bpy.context.window_manager.xihe
         # Until now it has worked in the open file, if only to look at the camera path.
         self.works_here = state.works_here = False
@@ -46,7 +47,7 @@ class Following(ModalJob):
 
     def finish(self, context: bpy.types.Context, result: None) -> set[str]:
         run = self.background
-        chosen = (self.scene if run is None else bpy.data.scenes[run.request.scene]).xihe
+        chosen = (self.scene if run is None else run.find_scene()).xihe
         chosen.run_folder, chosen.run_made_of = str(self.folder), ""
         if run is not None and run.is_edited:
             chosen.run_made_of = time.strftime("%H:%M", time.localtime(run.request.started))
@@ -96,9 +97,10 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
                 "No virtual object is in view of the camera in any frame: "
                 "turn the camera to one, or move one into its view"
             )
-        self.folder = new_run_folder(scene)
         if in_background:
             yield Progress(0, 1, "saving a copy of the file")
+        self.folder = new_run_folder(scene)
+        if in_background:
             run = saved_for_run(scene, self.folder, choices_of_run(scene))
             try:
                 run.start()
