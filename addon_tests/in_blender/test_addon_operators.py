@@ -167,6 +167,28 @@ def test_an_object_in_a_linked_collection_says_so_and_stays(tmp_path):
     assert memberships() == before and len(bpy.data.collections) == 1
 
 
+def test_objects_of_a_library_override_are_made_virtual_together(tmp_path):
+    scene = empty_scene()
+    furniture = bpy.data.collections.new("Furniture")
+    scene.collection.children.link(furniture)
+    for name in ("Chair", "Cushion"):
+        box(scene, name, (0, 0, 0), (1, 1, 1), collection=furniture)
+    library = saved(tmp_path / "library.blend")
+    scene = empty_scene()
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.collections = ["Furniture"]
+    bpy.data.collections["Furniture"].override_hierarchy_create(scene, bpy.context.view_layer)
+    chair, cushion = (bpy.data.objects[name, None] for name in ("Chair", "Cushion"))
+    before = memberships()
+    with pytest.raises(UserError, match="'Furniture' overrides one of another file.*: select 'Cushion' too"):
+        make_virtual(scene, [chair])
+    assert memberships() == before
+    assert make_virtual(scene, [chair, cushion]) == [chair, cushion] == virtual_objects(scene)
+    assert memberships() == before and scene.collection.children.keys() == [COLLECTION_NAME]
+    assert make_room(scene, [chair, cushion]) == [chair, cushion]
+    assert memberships() == before and virtual_objects(scene) == []
+
+
 def test_the_rig_stands_at_the_cursor():
     scene = empty_scene()
     scene.cursor.location = (1, 2, 3)

@@ -69,12 +69,16 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     itself; collections of other scenes keep it. Parents, children and transforms stay as they are. Objects without
     renderable geometry (lamps, cameras) are left where they are; for one that holds others together see `with_parts`.
 
-    Gives those that are virtual now. UserError, with nothing changed, for an object in a collection of another file.
+    Gives those that are virtual now. UserError, with nothing changed, for an object in a collection of another file, and
+    for a part of one that overrides such a collection: those move as a whole.
     """
     chosen = [item for item in with_parts(scene, objects) if has_renderable_geometry(item)]
     virtual, room = collections_of(scene)
     _check_are_own(chosen, [*virtual, *room])
+    overrides = _overrides_of(chosen, room)
     collection = virtual_collection(scene, create=bool(chosen))
+    _move(scene, overrides, collection)
+    virtual, room = collections_of(scene)
     for item in chosen:
         assert collection is not None
         # Linked before it is unlinked, so that it stays selected.
@@ -92,11 +96,13 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     """Move virtual `objects` back into the room of `scene`; gives those that were virtual.
 
     Into the collections that `make_virtual` took them out of, where those are still there, else the master collection.
-    UserError, with nothing changed, for an object in a collection of another file.
+    UserError as in `make_virtual`.
     """
     virtual, room = collections_of(scene)
     chosen = [item for item in with_parts(scene, objects) if virtual & set(item.users_collection)]
     _check_are_own(chosen, [*virtual, *room])
+    _move(scene, _overrides_of(chosen, virtual), scene.collection)
+    virtual, room = collections_of(scene)
     for item in chosen:
         if not room & set(item.users_collection):
             for home in _homes(scene, item, room):
@@ -106,6 +112,42 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
         for home in virtual & set(item.users_collection):
             home.objects.unlink(item)
     return chosen
+
+
+def _overrides_of(
+    chosen: Sequence[bpy.types.Object], collections: Iterable[bpy.types.Collection]
+) -> list[bpy.types.Collection]:
+    """Those of `collections` that hold any of `chosen` and override a collection of another file.
+
+    Blender takes no object out of such a one: UserError where not all that it holds is chosen.
+    """
+    found = []
+    for home in (home for home in collections if home.override_library is not None):
+        inside = [item for item in home.all_objects if has_renderable_geometry(item)]
+        left = [item.name for item in inside if item not in chosen]
+        if len(left) == len(inside):
+            continue
+        if left:
+            raise UserError(
+                f"collection {home.name!r} overrides one of another file, and can only be moved as a whole: "
+                f"select {left[0]!r} too"
+            )
+        found.append(home)
+    return found
+
+
+def _move(
+    scene: bpy.types.Scene, collections: Sequence[bpy.types.Collection], target: bpy.types.Collection | None
+) -> None:
+    """Move `collections` from wherever they hang in `scene` below `target`; those in another that moves go with it."""
+    for moved in collections:
+        above = [c for c in (scene.collection, *scene.collection.children_recursive) if moved in set(c.children)]
+        if target is None or any(parent.override_library is not None for parent in above):
+            continue
+        # Linked before it is unlinked, so that its objects stay selected.
+        target.children.link(moved)
+        for parent in above:
+            parent.children.unlink(moved)
 
 
 def _remember_homes(scene: bpy.types.Scene, item: bpy.types.Object, homes: set[bpy.types.Collection]) -> None:
