@@ -6,7 +6,7 @@ import bpy
 import pytest
 from previs_runs import SMALL, run, run_some_steps, walk
 from scene_snapshot import data_blocks, differences, snapshot
-from tiny_scenes import add_lamp, box, key, light_strength
+from tiny_scenes import add_lamp, box, key, light_strength, phone
 
 from xihe_blender.addon.results_in_blender import remove_everything
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
@@ -119,6 +119,17 @@ def test_a_render_result_that_was_there_stays():
     with scene_kept():
         render_tiny(scene, 2)
     assert [image.type for image in bpy.data.images] == ["RENDER_RESULT"]
+
+
+def test_a_camera_that_a_marker_brings_at_the_rendered_frame_does_not_stay():
+    scene = walk(4)
+    usual, other = scene.camera, phone(scene, (0, -1, 1), (0, 0, 1), "Other")
+    for frame, camera in ((1, usual), (3, other)):
+        scene.timeline_markers.new("switch", frame=frame).camera = camera
+    scene.frame_set(1)
+    with scene_kept():
+        render_tiny(scene, 4)
+    assert scene.camera == usual
 
 
 @pytest.mark.slow

@@ -196,7 +196,7 @@ def render_scene(scene: bpy.types.Scene) -> None:
             bpy.ops.render.render()
         return
     in_context = bpy.context.scene
-    before = in_context.frame_current
+    before, camera = in_context.frame_current, in_context.camera
     try:
         if before != scene.frame_current:
             in_context.frame_current = scene.frame_current
@@ -204,6 +204,7 @@ def render_scene(scene: bpy.types.Scene) -> None:
     finally:
         if before != in_context.frame_current:
             in_context.frame_current = before
+            in_context.camera = camera  # Where markers bind cameras, another frame may have brought another one.
 
 
 def render_passes(scene: bpy.types.Scene) -> Rendered:
