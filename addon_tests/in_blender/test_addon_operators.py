@@ -180,7 +180,7 @@ def test_objects_of_a_library_override_are_made_virtual_together(tmp_path):
     bpy.data.collections["Furniture"].override_hierarchy_create(scene, bpy.context.view_layer)
     chair, cushion = (bpy.data.objects[name, None] for name in ("Chair", "Cushion"))
     before = memberships()
-    with pytest.raises(UserError, match="'Furniture' overrides one of another file.*: select 'Cushion' too"):
+    with pytest.raises(UserError, match=r"'Furniture' overrides one of another file.*: select 'Cushion' too"):
         make_virtual(scene, [chair])
     assert memberships() == before
     assert make_virtual(scene, [chair, cushion]) == [chair, cushion] == virtual_objects(scene)

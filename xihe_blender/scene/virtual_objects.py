@@ -69,8 +69,8 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     itself; collections of other scenes keep it. Parents, children and transforms stay as they are. Objects without
     renderable geometry (lamps, cameras) are left where they are; for one that holds others together see `with_parts`.
 
-    Gives those that are virtual now. UserError, with nothing changed, for an object in a collection of another file, and
-    for a part of one that overrides such a collection: those move as a whole.
+    Gives those that are virtual now. UserError, with nothing changed, for an object in a collection of another file,
+    and for a part of one that overrides such a collection: those move as a whole.
     """
     chosen = [item for item in with_parts(scene, objects) if has_renderable_geometry(item)]
     virtual, room = collections_of(scene)
