@@ -9,6 +9,7 @@ The first move reads the frames that the run kept. Drawing the window is not in 
 
 from __future__ import annotations
 
+import os
 import statistics
 import sys
 import time
@@ -47,3 +48,5 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+    sys.stdout.flush()
+    os._exit(0)  # The wheel waits for ever for the thread that has found the light.
