@@ -1,7 +1,7 @@
 """What files of tests share."""
 
 import pytest
-from previs_runs import QuickPrevis, finished_run
+from previs_runs import IPAD, QuickPrevis, finished_run
 from tiny_scenes import room_with_a_virtual_sphere, saved
 
 from xihe_blender.capture.scanner import meter_exposure
@@ -29,6 +29,12 @@ def small_light_probes():
 def finished(tmp_path_factory):
     """An undisturbed run of `walk`; nothing may change its folder."""
     return finished_run(tmp_path_factory.mktemp("finished") / "out")
+
+
+@pytest.fixture(scope="session")
+def ipad(tmp_path_factory):
+    """The same with the phone of `IPAD`; nothing may change its folder."""
+    return finished_run(tmp_path_factory.mktemp("ipad") / "out", IPAD)
 
 
 @pytest.fixture(scope="session")

@@ -29,16 +29,6 @@ FAST = replace(SMALL, estimator="projection", n_anchors=320)
 
 
 @pytest.fixture(scope="module")
-def perfect(finished):
-    return finished
-
-
-@pytest.fixture(scope="module")
-def ipad(tmp_path_factory):
-    return finished_run(tmp_path_factory.mktemp("ipad") / "out", IPAD)
-
-
-@pytest.fixture(scope="module")
 def over_lte(tmp_path_factory):
     return finished_run(tmp_path_factory.mktemp("lte") / "out", replace(SMALL, network="lte"))
 
@@ -52,18 +42,18 @@ def steps(results):
     return [(entry, probe) for entry in results["frames"] for probe in entry["probes"]]
 
 
-def test_a_perfect_phone_gives_what_the_plain_chain_gives(perfect):
+def test_a_perfect_phone_gives_what_the_plain_chain_gives(finished):
     """The reference is the controller alone, fed with the captures that the run kept."""
     estimator = load_estimators(SMALL)[0]
-    exposure = perfect.results["settings"]["reference_exposure"]
+    exposure = finished.results["settings"]["reference_exposure"]
     settings = ControllerSettings(SMALL.trigger, reference_exposure=exposure, learns_out_of_view=True)
     chain = XiheController(LocalBackend(estimator), settings)
-    for _, probe in steps(perfect.results):
+    for _, probe in steps(finished.results):
         if probe["name"] not in chain.positions:
             chain.add_position(probe["name"], probe["position_m"])
     ambient = estimators.load("ambient", SMALL.n_anchors, SMALL.target)
-    for entry in perfect.results["frames"]:
-        frame = load_frame(perfect.outputs.capture(entry["frame"]))
+    for entry in finished.results["frames"]:
+        frame = load_frame(finished.outputs.capture(entry["frame"]))
         reports = chain.step(frame)
         sensed = ambient.estimate(UnitSphereCloud.empty(SMALL.n_anchors), EstimateContext(frame=frame))
         for probe in entry["probes"]:
@@ -72,35 +62,35 @@ def test_a_perfect_phone_gives_what_the_plain_chain_gives(perfect):
             assert probe["fired"] == reports[probe["name"]].decision.fire
 
 
-def test_a_perfect_phone_costs_nothing(perfect, ipad):
+def test_a_perfect_phone_costs_nothing(finished, ipad):
     # Even a phone with flaws renders nothing more.
-    assert Counter(perfect.renders) == Counter(ipad.renders)
-    kept = files_below(perfect.outputs.folder)
+    assert Counter(finished.renders) == Counter(ipad.renders)
+    kept = files_below(finished.outputs.folder)
     assert not any("surfaces_" in path or path.startswith("radiance/captured") for path in kept)
-    assert perfect.results["phone"]["shc_rmse"] is None
-    assert {rows(perfect.results)[effect]["state"] for effect in (*EFFECTS, "network")} == {"off"}
-    arrivals = [(entry["frame"], probe) for entry, probe in steps(perfect.results) if probe["fired"]]
+    assert finished.results["phone"]["shc_rmse"] is None
+    assert {rows(finished.results)[effect]["state"] for effect in (*EFFECTS, "network")} == {"off"}
+    arrivals = [(entry["frame"], probe) for entry, probe in steps(finished.results) if probe["fired"]]
     assert all((probe["arrival_frame"], probe["latency_ms"]) == (frame, 0) for frame, probe in arrivals)
 
 
-def test_the_phone_changes_the_light_and_leaves_the_captures_perfect(perfect, ipad):
-    for entry in perfect.results["frames"]:
+def test_the_phone_changes_the_light_and_leaves_the_captures_perfect(finished, ipad):
+    for entry in finished.results["frames"]:
         if entry["active"]:
-            frames = [load_frame(run.outputs.capture(entry["frame"])) for run in (perfect, ipad)]
+            frames = [load_frame(run.outputs.capture(entry["frame"])) for run in (finished, ipad)]
             assert np.array_equal(frames[0].plane_depth_m, frames[1].plane_depth_m)
             assert np.array_equal(frames[0].srgb_u8, frames[1].srgb_u8)
-    lights = [[probe["sh"] for _, probe in steps(run.results)] for run in (perfect, ipad)]
+    lights = [[probe["sh"] for _, probe in steps(run.results)] for run in (finished, ipad)]
     assert not np.array_equal(*lights)
-    assert [probe["sh_truth"] for _, probe in steps(perfect.results)] == [
+    assert [probe["sh_truth"] for _, probe in steps(finished.results)] == [
         probe["sh_truth"] for _, probe in steps(ipad.results)
     ]
 
 
 @pytest.mark.slow
-def test_the_errors_of_the_report_are_those_of_whole_sessions(perfect, ipad, tmp_path):
+def test_the_errors_of_the_report_are_those_of_whole_sessions(finished, ipad, tmp_path):
     errors = ipad.results["phone"]["shc_rmse"]
     assert errors["all_on"] == ipad.results["summary"]["mean_shc_rmse"]
-    assert errors["perfect"] == perfect.results["summary"]["mean_shc_rmse"]
+    assert errors["perfect"] == finished.results["summary"]["mean_shc_rmse"]
     quiet = run(walk(), tmp_path, replace(IPAD, effect_choices={"edge_bleeding": "off"}))
     assert quiet["summary"]["mean_shc_rmse"] == errors["without"]["edge_bleeding"] != errors["all_on"]
     text = ipad.outputs.report.read_text(encoding="utf-8")
@@ -168,10 +158,10 @@ def test_a_users_own_profile_works_and_a_changed_one_is_another_run(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_estimate_is_applied_at_the_first_frame_after_its_arrival(perfect, over_lte):
+def test_an_estimate_is_applied_at_the_first_frame_after_its_arrival(finished, over_lte):
     frames = over_lte.results["frames"]
     times_s = {entry["frame"]: entry["time_s"] for entry in frames}
-    by_itself = {(e["frame"], p["name"]): p for e, p in steps(perfect.results)}
+    by_itself = {(e["frame"], p["name"]): p for e, p in steps(finished.results)}
     fired = [(entry, probe) for entry, probe in steps(over_lte.results) if probe["fired"]]
     assert {(e["frame"], p["name"]) for e, p in fired} == {key for key, probe in by_itself.items() if probe["fired"]}
     for entry, probe in fired:
@@ -191,22 +181,22 @@ def test_an_estimate_is_applied_at_the_first_frame_after_its_arrival(perfect, ov
 
 
 @pytest.mark.slow
-def test_the_timeline_is_keyed_where_estimates_arrive(perfect, over_lte):
+def test_the_timeline_is_keyed_where_estimates_arrive(finished, over_lte):
     arrivals = {p["arrival_frame"] for _, p in steps(over_lte.results) if p["name"] == "Ball"} - {None}
     assert set(over_lte.keys["Xihe Ball"]) >= arrivals > set()
-    assert min(arrivals) > 1 and over_lte.keys != perfect.keys
+    assert min(arrivals) > 1 and over_lte.keys != finished.keys
 
 
-def test_estimates_that_are_lost_never_light_anything(perfect):
+def test_estimates_that_are_lost_never_light_anything(finished):
     plan = plan_previs(walk(), SMALL)
-    exposure = perfect.results["settings"]["reference_exposure"]
+    exposure = finished.results["settings"]["reference_exposure"]
     link = replace(LINKS["wifi"], loss=1.0)
     session = PhoneSession(plan.probes, SMALL.chain(exposure), load_estimators(SMALL)[0], link, seed=0)
-    for entry in perfect.results["frames"]:
+    for entry in finished.results["frames"]:
         if not entry["active"]:
             continue
         names = [probe["name"] for probe in entry["probes"]]
-        _, requests = session.step(load_frame(perfect.outputs.capture(entry["frame"])), {}, names)
+        _, requests = session.step(load_frame(finished.outputs.capture(entry["frame"])), {}, names)
         assert all(request.latency_s is None for request in requests.values())
         for name in names:
             assert np.array_equal(session.light(name, entry["time_s"]), session.ambient_sh)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from previs_runs import IPAD, LOOKS_AWAY, N_FRAMES, SMALL, counted_renders, run, unfinished_files, walk
+from previs_runs import IPAD, LOOKS_AWAY, N_FRAMES, SMALL, counted_renders, unfinished_files, walk
 from results_schema import read_strictly
 from tiny_scenes import empty_scene, phone, room_with_a_virtual_sphere, saved, set_world
 
@@ -59,17 +59,14 @@ def replayed(folder, positions_m):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("settings", [SMALL, IPAD], ids=["perfect", "ipad"])
-def test_a_recorded_session_gives_the_light_of_the_run_to_the_last_bit(finished, tmp_path, settings):
-    results, folder = finished.results, finished.outputs.folder
-    if settings is not SMALL:
-        folder = tmp_path / "run"
-        results = run(walk(), folder, settings)
-    direct, at = fired_by_position(results)
+@pytest.mark.parametrize(("ran", "settings"), [("finished", SMALL), ("ipad", IPAD)], ids=["perfect", "ipad"])
+def test_a_recorded_session_gives_the_light_of_the_run_to_the_last_bit(request, tmp_path, ran, settings):
+    ran = request.getfixturevalue(ran)
+    direct, at = fired_by_position(ran.results)
     assert record(walk(), tmp_path / "session", settings) == [f"{N_FRAMES} frames in {tmp_path / 'session'}"]
     assert (tmp_path / "session" / "session.json").is_file() and not unfinished_files(tmp_path / "session")
     assert set(direct) == {"Ball", "Board 1", "Board 2"}
-    for one in (tmp_path / "session", folder):
+    for one in (tmp_path / "session", ran.outputs.folder):
         assert replayed(one, at) == direct
 
 
