@@ -9,7 +9,7 @@ import pytest
 from addon_tests.pure import runs
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.run_results import FrameResult
-from xihe_blender.previs.results_notes import dim_notes, exposure_notes, faults_seen
+from xihe_blender.previs.results_notes import dim_notes, exposure_notes, faults_seen, white_notes
 from xihe_blender.previs.settings import PrevisSettings
 
 
@@ -50,3 +50,10 @@ def test_a_dim_or_dark_room_and_a_buried_object_are_named_at_any_exposure(is_cho
     assert dark.startswith("Neither the phone nor a light probe saw any light")
     (buried,) = said(2.0, 0.4, 0.0, is_chosen=is_chosen)
     assert "is it inside an object?" in buried
+
+
+@pytest.mark.parametrize(("shares", "words"), [((0.5, 0.504), "50% is brighter"), ((0.2, 0.5), "20% to 50% is")])
+def test_light_beyond_white_is_told_as_a_share_or_a_range(shares, words):
+    frames = [from_json(FrameResult, runs.frame(1, runs.probe(share_above_white=share))) for share in shares]
+    (note,) = white_notes(frames)
+    assert words in note

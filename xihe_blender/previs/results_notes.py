@@ -297,8 +297,9 @@ def white_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
     shares = [probe.share_above_white for entry in frames for probe in entry.probes]
     known = [share for share in shares if share is not None]
     if max(known, default=0.0) >= WORTH_TELLING:
+        told = dict.fromkeys(f"{share:.0%}" for share in (min(known), max(known)))
         yield (
-            f"Of the light at the objects, {min(known):.0%} to {max(known):.0%} is brighter than white at this "
+            f"Of the light at the objects, {' to '.join(told)} is brighter than white at this "
             "exposure or comes from lamps that cameras do not see: an estimate of it is a guess."
         )
 
