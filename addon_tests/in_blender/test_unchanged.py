@@ -170,6 +170,28 @@ def nodes_that_read_the_time(scene):
     scaled_by_nodes("GeometryNodeInputSceneTime")
 
 
+def attribute_of_instances_that_reads_the_time(scene):
+    attribute_of_instances("GeometryNodeInputSceneTime")
+
+
+def attribute_of_instances(node_type):
+    """Cubes on the table that the wood's shader asks for an attribute, which a node of this type gives."""
+    tree, start, end = geometry_nodes()
+    points, stored = (
+        tree.nodes.new(kind) for kind in ("GeometryNodeInstanceOnPoints", "GeometryNodeStoreNamedAttribute")
+    )
+    stored.domain, stored.data_type, stored.inputs["Name"].default_value = "INSTANCE", "FLOAT", "glow"
+    tree.links.new(start, points.inputs["Points"])
+    tree.links.new(tree.nodes.new("GeometryNodeMeshCube").outputs[0], points.inputs["Instance"])
+    tree.links.new(points.outputs[0], stored.inputs["Geometry"])
+    value = next(socket for socket in stored.inputs if socket.name == "Value" and socket.enabled)
+    tree.links.new(tree.nodes.new(node_type).outputs[0], value)
+    tree.links.new(stored.outputs[0], end)
+    bpy.data.objects["Table"].modifiers.new("Cubes", "NODES").node_group = tree
+    look = bpy.data.materials["Wood"].node_tree.nodes.new("ShaderNodeAttribute")
+    look.attribute_type, look.attribute_name = "INSTANCER", "glow"
+
+
 def image_sequence(scene):
     textured("SEQUENCE")
 
@@ -196,8 +218,8 @@ def particles(scene):
 OTHERWISE_CHANGED = [
     parent_that_moves, constraint, lamp_nodes, lamp_in_an_instance, lamp_held_by_the_phone, driven_material,
     group_in_a_group, colour_ramp, custom_property, shape_key, modifier_setting, modifier_that_follows,
-    nodes_that_read_the_time, image_sequence, movie, texture_that_follows_an_empty,
-    texture_that_follows_a_virtual_object, particles,
+    nodes_that_read_the_time, attribute_of_instances_that_reads_the_time, image_sequence, movie,
+    texture_that_follows_an_empty, texture_that_follows_a_virtual_object, particles,
 ]  # fmt: skip
 
 
@@ -229,6 +251,13 @@ def test_a_scene_that_stands_still_has_one_state():
     lamp_of_an_instance(scene)
     scaled_by_nodes("ShaderNodeCombineXYZ")
     textured()
+    assert len(set(scene_states(scene, (1, 2, 7)))) == 1
+
+
+@pytest.mark.skipif(bpy.app.version < (4, 5), reason="Python is not shown the instances")
+def test_attributes_of_instances_that_stand_still_have_one_state():
+    scene = still_room()
+    attribute_of_instances("ShaderNodeValue")
     assert len(set(scene_states(scene, (1, 2, 7)))) == 1
 
 

@@ -154,14 +154,45 @@ def shape_of(item: bpy.types.Object) -> Iterator[bytes]:
         raise UnreadableError(item.type)
 
 
-def _geometry(data: Any) -> Iterator[bytes]:
-    for attribute in data.attributes:
+def instances_of(item: bpy.types.Object) -> Iterator[bytes]:
+    """All attributes of the instances that geometry nodes make of an evaluated `item`, as bytes.
+
+    UnreadableError before Blender 4.5, where Python is not shown them.
+    """
+    if not hasattr(item, "evaluated_geometry"):
+        raise UnreadableError("instances")
+    yield from _instances_in(item.evaluated_geometry())
+
+
+def _instances_in(geometry: Any) -> Iterator[bytes]:
+    points = geometry.instances_pointcloud()
+    if points is None:
+        return
+    # The places are in "instance_transform"; "position" is what happened to be in memory.
+    yield from _attributes(attribute for attribute in points.attributes if attribute.name != "position")
+    for reference in geometry.instance_references():
+        if isinstance(reference, bpy.types.GeometrySet):
+            yield from _instances_in(reference)
+
+
+def reads_instances(tree: bpy.types.NodeTree | None) -> bool:
+    """Whether a node of `tree` asks for an attribute of the instance that it shades."""
+    nodes = tree.nodes if tree is not None else ()
+    return any(getattr(node, "attribute_type", None) == "INSTANCER" for node in nodes)
+
+
+def _attributes(attributes: Iterable[Any]) -> Iterator[bytes]:
+    for attribute in attributes:
         yield f"{attribute.name} {attribute.domain} {attribute.data_type} {len(attribute.data)}".encode()
         if attribute.data_type == "STRING":
             continue
         if attribute.data_type not in ATTRIBUTES:
             raise UnreadableError(attribute.data_type)
         yield _array(attribute.data, *ATTRIBUTES[attribute.data_type])
+
+
+def _geometry(data: Any) -> Iterator[bytes]:
+    yield from _attributes(data.attributes)
     if hasattr(data, "polygons"):
         yield _array(data.polygons, "loop_start", np.int32, 1)
         if data.has_custom_normals:

@@ -20,7 +20,15 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.light_transport.animation import UnreadableError, is_animated, is_film, shape_of, values_of
+from xihe_blender.light_transport.animation import (
+    UnreadableError,
+    instances_of,
+    is_animated,
+    is_film,
+    reads_instances,
+    shape_of,
+    values_of,
+)
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 
 HANDLERS = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsgraph_update_post", "render_pre")
@@ -56,6 +64,8 @@ class StateSurvey:
         users = bpy.data.user_map(key_types={"OBJECT"}, value_types=SHADERS)
         self.in_shaders = {item for item, of_item in users.items() if of_item}
         """Objects whose place a texture follows."""
+        trees = [*(material.node_tree for material in bpy.data.materials), *bpy.data.node_groups]
+        self.reads_instances = any(map(reads_instances, trees))
         handlers = [handler for name in HANDLERS for handler in getattr(bpy.app.handlers, name)]
         # The panel's own handlers only take notice.
         self.is_sure = all(str(getattr(one, "__module__", "")).startswith("xihe_blender.") for one in handlers)
@@ -81,6 +91,8 @@ class StateSurvey:
                 if block.type != "CAMERA" and is_animated(block.original):
                     values = (entry for entry in values_of(block) if entry[0] not in MATRICES)
                     (virtual if block.original in self.virtual else room).add(block.name_full, *values)
+                if self.reads_instances and any(modifier.type == "NODES" for modifier in block.modifiers):
+                    (virtual if block.original in self.virtual else room).add_all(instances_of(block))
             elif not isinstance(block, bpy.types.Camera):
                 _add_block(room, block)
         self._instances(depsgraph, room, virtual)
@@ -111,6 +123,14 @@ class _Digest:
 
     def add(self, *values: Any) -> None:
         self.hash.update(repr(values).encode())
+
+    def add_all(self, parts: Iterable[bytes]) -> None:
+        """Where `parts` cannot be read no frame is like another."""
+        try:
+            for part in parts:
+                self.hash.update(part)
+        except UnreadableError:
+            self.never_the_same()
 
     def never_the_same(self) -> None:
         self.add("frame", self.frame)
@@ -157,11 +177,7 @@ def _add_shape(digest: _Digest, item: bpy.types.Object, read: set[tuple[int, int
     if key in read:
         return
     read.add(key)
-    try:
-        for part in shape_of(item):
-            digest.hash.update(part)
-    except UnreadableError:
-        digest.never_the_same()
+    digest.add_all(shape_of(item))
 
 
 def _may_deform(item: bpy.types.Object) -> bool:
