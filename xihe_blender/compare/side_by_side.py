@@ -56,7 +56,8 @@ def save_side_by_side(results: RunResults, folder: Path, method: str | None = No
             kinds = ("captured", "ground_truth", method)
             pictures = [enlarged(read_picture(folder / shown.pictures[kind])) for kind in kinds]
             unlabelled.append(Path(temporary) / f"{frame:04d}.png")
-            write_picture(unlabelled[-1], composed(*pictures, wipe=wipe_at(number, len(compared))))
+            # The line sweeps right once, and never stands at an edge.
+            write_picture(unlabelled[-1], composed(*pictures, wipe=number / (len(compared) + 1)))
         height, width, _ = pictures[0].shape
         labels = ("Captured by the phone", "Ground truth", f"Estimate: {method}", f"{method} | ground truth")
         fps = results.scene.fps * (len(compared) - 1) / max(max(compared) - min(compared), 1)
@@ -87,11 +88,6 @@ def save_film(pictures: Mapping[int, Path], size: tuple[int, int], fps: float, p
         strip.transform.filter = "NEAREST"
         with tempfile.TemporaryDirectory(prefix="xihe_") as temporary:
             copy_whole(render_film(scene, Path(temporary)), path)
-
-
-def wipe_at(number: int, n: int) -> float:
-    """Where the line of picture `number` (from 1) of `n` stands: it sweeps right once, and never stands at an edge."""
-    return number / (n + 1)
 
 
 def wiped(estimate: ArrayF32, truth: ArrayF32, wipe: float) -> ArrayF32:

@@ -263,7 +263,7 @@ def _light(frame: int, light: ObjectLight, reflections: int | None) -> dict[str,
     main = main_light_for(light, convention)
     return {
         "frame": frame,
-        "sh": _rounded(coefficients_for(soft_light(light, three), convention)),
+        "sh": [round(float(value), 6) for value in coefficients_for(soft_light(light, three), convention)],
         "mainLight": None
         if main is None
         else {
@@ -274,7 +274,3 @@ def _light(frame: int, light: ObjectLight, reflections: int | None) -> dict[str,
         },
         "reflections": reflections,
     }
-
-
-def _rounded(values: ArrayF64) -> list[float]:
-    return [round(float(value), 6) for value in values]

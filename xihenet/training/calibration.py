@@ -113,14 +113,11 @@ def calibration_elsewhere(raw: ArrayLike, made: ArrayLike, coverage: ArrayLike, 
     slope = _slope_by_quantiles(logs[0] - power * logs[1], seen, weights) if errors.any() else 0.0
     flat = Calibration(1.0, power, slope, (1.0,) * len(SHARES_ASKED))
     ratios = errors / np.maximum(flat.expected(expected, seen), SMALLEST_RAW)
-    level = max(float(np.average(np.minimum(ratios, _highest(ratios, weights)), weights=weights)), SMALLEST_RAW)
+    highest = MOST_MEDIANS * float(_quantiles(0.5, ratios, weights))
+    level = max(float(np.average(np.minimum(ratios, highest), weights=weights)), SMALLEST_RAW)
     shares = [min(share * (len(n_clouds) + 1) / len(n_clouds), 1.0) for share in SHARES_ASKED]
     quantiles = tuple(map(float, _quantiles(shares, ratios, weights) / level))
     return replace(flat, factor=level, quantiles=quantiles)
-
-
-def _highest(ratios: ArrayF64, weights: ArrayF64) -> float:
-    return MOST_MEDIANS * float(_quantiles(0.5, ratios, weights))
 
 
 def _quantiles(shares: float | Sequence[float], values: ArrayF64, weights: ArrayF64) -> ArrayF64:

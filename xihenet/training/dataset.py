@@ -305,14 +305,11 @@ def _sampled(views: list[PointCloud], settings: CacheSettings, rng: np.random.Ge
     """The views, already relative to the position, as one cloud."""
     if settings.sampling == "sphere":
         lattice = AnchorLattice(settings.n_anchors)
-        return reduce(_merged_views, (sample_unit_sphere(view, np.zeros(3), lattice) for view in views))
+        sampled = (sample_unit_sphere(view, np.zeros(3), lattice) for view in views)
+        return reduce(lambda old, new: merge_views(old, in_sight(old, new)), sampled)
     together = PointCloud(np.concatenate([v.points_m for v in views]), np.concatenate([v.srgb for v in views]))
     sample = sample_uniform if settings.sampling == "uniform" else sample_farthest
     return sample(together, settings.n_anchors, rng)
-
-
-def _merged_views(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
-    return merge_views(old, in_sight(old, new))
 
 
 def _build_split(
