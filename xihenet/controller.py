@@ -108,11 +108,10 @@ class XiheController:
 
     def add_position(self, name: str, position_m: ArrayLike) -> None:
         """Estimate the light at `position_m` ((3,), world, metres) from now on; a name that is known is moved there."""
-        position = np.asarray(position_m, np.float64)
-        if position.shape != (3,) or not np.isfinite(position).all():
-            raise ValueError(f"add_position {name!r}: expected three finite coordinates, got {position_m!r}")
         fine = None if self.fine_lattice is None else UnitSphereCloud.empty(self.fine_lattice.n)
-        self._positions[name] = _Position(position, PositionBuffers.empty(self.backend.n_anchors), reflected=fine)
+        self._positions[name] = _Position(
+            checked_position(position_m), PositionBuffers.empty(self.backend.n_anchors), reflected=fine
+        )
 
     def move_position(self, name: str, position_m: ArrayLike) -> None:
         """Have position `name` at `position_m` ((3,), world, metres) from now on, with what is known of the room."""

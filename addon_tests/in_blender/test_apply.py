@@ -257,7 +257,7 @@ def test_an_object_of_the_users_becomes_a_virtual_one_and_a_big_one_gets_several
 
 @pytest.mark.parametrize(
     ("place", "words"),
-    [((0, 0, 1), "no frame yet"), ((0, 0), "three finite coordinates"), ((0, 0, np.inf), "three finite coordinates")],
+    [((0, 0, 1), "no frame yet"), ((0, 0), "three finite numbers"), ((0, 0, np.inf), "three finite numbers")],
 )
 def test_placing_before_the_first_frame_or_at_no_point_is_refused(place, words):
     room_with_a_virtual_sphere()

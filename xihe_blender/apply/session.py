@@ -16,6 +16,7 @@ from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet import controller
 from xihenet.records import LightEstimate
+from xihenet.sampling import checked_position
 
 
 class XiheController(controller.XiheController):
@@ -42,9 +43,7 @@ class XiheController(controller.XiheController):
         ------
         ValueError before the first frame, or for a position that is not three finite numbers
         """
-        position = np.asarray(position_m, np.float64)
-        if position.shape != (3,) or not np.isfinite(position).all():
-            raise ValueError(f"place_and_estimate_at: expected three finite coordinates, got {position_m!r}")
+        position = checked_position(position_m)
         scene = bpy.context.scene
         if item not in virtual_objects(scene):
             collection = virtual_collection(scene, create=True)

@@ -17,7 +17,7 @@ from xihenet.estimators.base import EstimateContext, Estimator, Target
 from xihenet.estimators.pointconv_network import PointConvNetwork, load_pointconv_weights
 from xihenet.estimators.weights_format import loaded_for
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, UnitSphereCloud
-from xihenet.sampling import has_usable_points, sample_uniform
+from xihenet.sampling import checked_position, has_usable_points, sample_uniform
 from xihenet.sphere import AnchorLattice
 
 DRAWING_SEED = 0
@@ -105,9 +105,7 @@ class PointAR(_PointConv):
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         if context.points is None or context.position_m is None:
             raise ValueError("pointar: needs the raw points; give EstimateContext(points=..., position_m=...)")
-        position = np.asarray(context.position_m, np.float64)
-        if position.shape != (3,) or not np.isfinite(position).all():
-            raise ValueError(f"pointar: expected a position of three finite numbers, got {context.position_m!r}")
+        position = checked_position(context.position_m)
         n_points = self._n_points_trained_with or self.n_anchors
         drawn = sample_uniform(context.points, n_points, np.random.default_rng(DRAWING_SEED))
         # A position beyond float32's range, or a point, is as good as one at the farthest distance.
