@@ -189,6 +189,15 @@ def test_objects_of_a_library_override_are_made_virtual_together(tmp_path):
     assert memberships() == before and virtual_objects(scene) == []
 
 
+def test_an_error_stays_in_the_panel_until_something_succeeds():
+    empty_scene()
+    state = bpy.context.window_manager.xihe
+    with pytest.raises(RuntimeError, match="No recording is chosen"):
+        bpy.ops.xihe.import_capture()
+    assert "No recording is chosen" in state.error
+    assert bpy.ops.xihe.add_sphere_rig() == {"FINISHED"} and state.error == ""
+
+
 def test_the_rig_stands_at_the_cursor():
     scene = empty_scene()
     scene.cursor.location = (1, 2, 3)

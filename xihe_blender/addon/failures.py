@@ -65,6 +65,8 @@ class Action(Conditional):
             said = self.act(context)
         except FAILURES as error:
             return failed(self, context, error)
+        # What went wrong before is mended, or of no interest any more.
+        context.window_manager.xihe.error = ""
         if said:
             self.report({"INFO"}, said)
         return {"FINISHED"}

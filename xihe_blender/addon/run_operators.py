@@ -135,6 +135,12 @@ class XIHE_OT_discard_run(Action, bpy.types.Operator):
     bl_description = "Delete what the last run of this file, which it does not show, has made so far"
     conditions = (polls.is_idle, polls.has_unshown_run)
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        from xihe_blender.addon.panels import format_begun
+
+        begun = BackgroundRun(Path(context.window_manager.xihe.unshown_run)).begun
+        return ask_to_delete(self, event, f"the run that was begun {format_begun(begun or time.time())}")
+
     def act(self, context: bpy.types.Context) -> None:
         state = context.window_manager.xihe
         BackgroundRun(Path(state.unshown_run)).discard()
@@ -161,12 +167,7 @@ class XIHE_OT_remove_old_runs(Action, bpy.types.Operator):
     conditions = (polls.is_idle, polls.has_old_runs)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask first: what is deleted does not come back by Undo."""
-        runs = format_old_runs(old_runs(runs_folder(), shown_runs()))
-        answer: set[str] = context.window_manager.invoke_confirm(
-            self, event, title=f"Delete {runs}?", message="This cannot be undone", confirm_text="Delete", icon="WARNING"
-        )
-        return answer
+        return ask_to_delete(self, event, format_old_runs(old_runs(runs_folder(), shown_runs())))
 
     def act(self, context: bpy.types.Context) -> str | None:
         removed = remove_old_runs(runs_folder(), shown_runs())
@@ -176,6 +177,14 @@ class XIHE_OT_remove_old_runs(Action, bpy.types.Operator):
                 if area.type == "PREFERENCES":
                     area.tag_redraw()
         return f"Removed {format_count(len(removed), 'old run')}"
+
+
+def ask_to_delete(operator: bpy.types.Operator, event: bpy.types.Event, what: str) -> set[str]:
+    """Ask first: what is deleted does not come back by Undo. What the operator's `invoke` returns."""
+    answer: set[str] = bpy.context.window_manager.invoke_confirm(
+        operator, event, title=f"Delete {what}?", message="This cannot be undone", confirm_text="Delete", icon="WARNING"
+    )
+    return answer
 
 
 def results_imported() -> Job[None]:

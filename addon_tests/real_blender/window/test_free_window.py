@@ -50,7 +50,7 @@ def test_a_run_goes_on_while_another_file_is_open_and_is_found_again(free_window
 def test_a_stopped_run_resumes_or_is_discarded(free_window):
     facts = free_window.facts
     assert facts["stopped"] == {"is_locked": False, "progress": 0.0, "has_ended": False}
-    assert facts["resumed"]["same"] and facts["discarded"]
+    assert facts["resumed"]["same"] and facts["kept_while_asking"] and facts["discarded"]
 
 
 def test_escape_during_playback_stops_only_that(cancel):

@@ -159,5 +159,8 @@ def stopped_and_resumed(w):
     yield from w.click_on("xihe.cancel_run", across=0.89)
     yield from wait_for_end(w)
     yield from w.click_on("xihe.discard_run", across=0.89)
+    yield 1
+    w.facts["kept_while_asking"] = folder.exists()
+    w.press("Return")
     yield 0.5
     w.facts["discarded"] = not folder.exists() and not job().unshown_run
