@@ -129,6 +129,23 @@ def test_an_object_without_a_material_is_the_grey_that_cycles_has_for_it():
     assert grey["metallicFactor"] == 0 and grey["baseColorFactor"][:3] == pytest.approx([0.8] * 3, abs=1e-3)
 
 
+@pytest.mark.parametrize("hidden", ["by its eye", "in viewports", "with its collection", "by the view layer"])
+def test_an_object_that_the_viewport_hides_is_exported_as_a_run_shows_it(hidden):
+    shown = viewed_objects(walk(), [bpy.data.objects["Ball"]], [1])[0].glb
+    scene = walk()
+    ball, layer = bpy.data.objects["Ball"], bpy.context.view_layer
+    home = layer.layer_collection.children["Xihe Virtual"]
+    if hidden == "by its eye":
+        ball.hide_set(True)
+    elif hidden == "in viewports":
+        ball.hide_viewport = True
+    elif hidden == "with its collection":
+        home.hide_viewport = True
+    else:
+        home.exclude = True
+    assert viewed_objects(scene, [ball], [1])[0].glb == shown
+
+
 @pytest.mark.slow
 def test_the_button_writes_the_same_page_and_leaves_the_open_file_alone(done):
     folder, page = done

@@ -28,17 +28,16 @@ def viewed_objects(
 ) -> list[ViewedObject]:
     """The `objects` of `scene`, shaped as they are at the first of `frames`, and where they are at each of them.
 
-    Changes the frame and the selection, for Blender's exporter: for a file that is not saved afterwards. (In a copy of
-    the scene, which would leave both alone, the exporter crashes Blender 4.5.) UserError for shapes with too many
-    triangles, for objects that are hidden, and where Blender has no exporter of glTF.
+    Changes the frame, the selection and what is hidden, for Blender's exporter: for a file that is not saved
+    afterwards. (In a copy of the scene, which would leave them alone, the exporter crashes Blender 4.5.) UserError for
+    shapes with too many triangles, and where Blender has no exporter of glTF.
     """
     if addon_utils.enable(EXPORTER) is None:
         raise UserError("this Blender has no exporter of glTF: use one that has the add-on io_scene_gltf2")
     scene.frame_set(frames[0])
-    depsgraph, metres = scene.view_layers[0].depsgraph, metres_per_unit(scene)
     for item in objects:
-        if not item.visible_get(view_layer=scene.view_layers[0]):
-            raise UserError(f"virtual object {item.name!r} is hidden: show it, save the file, and name it by --from")
+        _unhide(scene, item)
+    depsgraph, metres = scene.view_layers[0].depsgraph, metres_per_unit(scene)
     counts = {item.name: _n_triangles(item, depsgraph) for item in objects}
     if sum(counts.values()) > MOST_TRIANGLES:
         largest = max(counts, key=lambda name: counts[name])
@@ -60,6 +59,17 @@ def viewed_objects(
         radius = float(np.linalg.norm(corners.max(axis=0) - middle)) * metres
         viewed.append(ViewedObject(name, shapes[name], moves[name], Y_UP @ middle, radius))
     return viewed
+
+
+def _unhide(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Let the viewport show `item`, whatever hides it: a run lights it all the same."""
+    layer = scene.view_layers[0]
+    item.hide_viewport = False
+    if item.name not in scene.collection.objects:  # Its collections may be hidden, or left out of the view layer.
+        scene.collection.objects.link(item)
+    layer.update()
+    item.hide_set(False, view_layer=layer)
+    layer.update()
 
 
 def _place(item: bpy.types.Object, scene: bpy.types.Scene) -> ArrayF64:
