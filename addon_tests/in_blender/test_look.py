@@ -8,7 +8,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from previs_runs import CAPTURED, counted_renders, files_below, run, unfinished_files
+from previs_runs import CAPTURED, counted_renders, files_below, unfinished_files
 from scene_snapshot import differences, snapshot
 from tiny_scenes import opened
 
@@ -28,8 +28,7 @@ from xihe_blender.previs.better_camera import (
     remove_better_camera,
     save_better_path,
 )
-from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path, find_looks
-from xihe_blender.previs.kept_session import open_kept_session
+from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path
 from xihenet.looks import LookSettings
 
 
@@ -112,14 +111,6 @@ def test_the_map_needs_no_virtual_object(scene, out, monkeypatch):
     bpy.data.objects.remove(bpy.data.objects["Ball"])
     (one,) = looked(scene, out, wishes=LookWishes(is_for_map=True)).objects
     assert one.name == THE_MAP and len(one.positions_m) > 1 and one.look is not None
-
-
-def test_a_run_that_is_kept_gives_an_advice_without_a_render(scene, tmp_path):
-    run(scene, tmp_path / "run", replace(CAPTURED, frames=(1, 2, 3)))
-    session = run_blocking(open_kept_session(tmp_path / "run"))
-    with counted_renders() as renders:
-        (found,) = run_blocking(find_looks(session, {"Ball": [np.array((0, 0, 0.85))]}, LookWishes().looks))
-    assert renders == [] and found.advice.look is not None
 
 
 def test_senseless_wishes_are_refused_before_anything_is_written(scene, out):
