@@ -107,34 +107,44 @@ def other_units(name):
     return harm
 
 
-def of_pictures(colour, plane_depth, confidence=None, missing="without colour or depth left out"):
-    """What may be wrong with pictures, in any format that has them as files. They are 48 pixels high, 64 wide."""
+def wired(colour, plane_depth, confidence=None, missing="without colour or depth left out"):
+    """Whether pictures that are files are read at all, and missing ones noted."""
     cases = {
         "colour is garbage": (put(colour, GARBAGE), "expected an image"),
-        "colour is empty": (put(colour, b""), "expected an image"),
-        "colour is cut short": (cut(colour), "expected an image"),
-        "colour of another field": (picture(colour, np.zeros((64, 48, 3), np.uint8)), "the same ratio"),
         "colour is a folder": (folder_in_place_of(colour), NOTE + missing),
         "depth is garbage": (put(plane_depth, GARBAGE), "expected an image"),
-        "depth is text": (put(plane_depth, "1 2 3"), "expected an image"),
-        "depth is empty": (put(plane_depth, b""), "expected an image"),
-        "depth is cut short": (cut(plane_depth), "expected an image"),
-        "depth of 8 bits": (picture(plane_depth, np.ones((48, 64), np.uint8)), "a grey image of 16 bits"),
-        "depth of another field": (picture(plane_depth, np.ones((64, 48), np.uint16)), "the same ratio"),
-        "depth of another unit": (other_units(plane_depth), READ),
-        "depth says it is huge": (put(plane_depth, png(60_000, 60_000, depth=16, is_grey=True)), "50 megapixels"),
         "depth is missing": (remove(plane_depth), NOTE + missing),
     }
     if confidence:
         cases |= {
             "confidence is garbage": (put(confidence, GARBAGE), "expected an image"),
+            "confidence is missing": (remove(confidence), READ),
+        }
+    return cases
+
+
+def of_pictures(colour, plane_depth, confidence=None):
+    """What may be wrong with pictures, asked of one format for each of the two readers that all formats share.
+
+    They are 48 pixels high, 64 wide.
+    """
+    sideways = picture(plane_depth, np.ones((64, 48), np.uint16))
+    cases = wired(colour, plane_depth, confidence) | {
+        "colour is empty": (put(colour, b""), "expected an image"),
+        "colour is cut short": (cut(colour), "expected an image"),
+        "colour of another field": (picture(colour, np.zeros((64, 48, 3), np.uint8)), "the same ratio"),
+        "depth is text": (put(plane_depth, "1 2 3"), "expected an image"),
+        "depth is empty": (put(plane_depth, b""), "expected an image"),
+        "depth is cut short": (cut(plane_depth), "expected an image"),
+        "depth of 8 bits": (picture(plane_depth, np.ones((48, 64), np.uint8)), "a grey image of 16 bits"),
+        "depth of another field": (sideways, "expected 48x64, as depth has" if confidence else "the same ratio"),
+        "depth of another unit": (other_units(plane_depth), READ),
+        "depth says it is huge": (put(plane_depth, png(60_000, 60_000, depth=16, is_grey=True)), "50 megapixels"),
+    }
+    if confidence:
+        cases |= {
             "confidence of another size": (picture(confidence, np.ones((24, 32), np.uint8)), "as depth has"),
             "confidence in colour": (picture(confidence, np.ones((48, 64, 3), np.uint8)), "a grey image of 8 bits"),
-            "confidence is missing": (remove(confidence), READ),
-            "depth of another field": (
-                picture(plane_depth, np.ones((64, 48), np.uint16)),
-                "expected 48x64, as depth has",
-            ),
         }
     return cases
 
@@ -345,7 +355,7 @@ NPY_THAT_SAYS = b"\x93NUMPY\x01\x00\x76\x00" + (
 STRAY = {
     **{
         case: how
-        for case, how in of_pictures("depth/000001.png", "depth/000001.png", "confidence/000001.png").items()
+        for case, how in wired("depth/000001.png", "depth/000001.png", "confidence/000001.png").items()
         if not case.startswith("colour")
     },
     "the video is empty": (put(VIDEO, b""), "expected a video"),
@@ -451,7 +461,7 @@ def plain(**entries):
 
 
 PLAIN = {
-    **of_pictures("colour/2.png", "depth/2.png", "confidence/2.png", "without depth or a pose left out"),
+    **wired("colour/2.png", "depth/2.png", "confidence/2.png", "without depth or a pose left out"),
     "colour is a folder": (folder_in_place_of("colour/2.png"), "expected a line for each of 2 pictures, got 3"),
     "the camera is a list": (put(CAMERA_FILE, "[]"), "expected a JSON object"),
     "the camera is empty": (put(CAMERA_FILE, ""), "expected JSON"),
@@ -543,7 +553,7 @@ NERFSTUDIO = {
     "no depth at all": (in_frames(3, depth_file_path=None), "record with depth"),
 }
 TUM = {
-    **of_pictures("rgb/0.033333.png", "depth/0.033333.png", missing="without colour, depth or a pose left out"),
+    **wired("rgb/0.033333.png", "depth/0.033333.png", missing="without colour, depth or a pose left out"),
     "no poses near": (put(TRUTH, "99 0 0 0 0 0 0 1\n"), "no colour picture has depth and a pose"),
     "poses are garbage": (put(TRUTH, GARBAGE), "expected lines of a time"),
     "a huge place": (put(TRUTH, "0 1e300 0 0 0 0 0 1\n"), "within 1e+06 m"),
@@ -563,7 +573,7 @@ TUM = {
 }
 POSE = "frame-000002.pose.txt"
 SEVEN_SCENES = {
-    **of_pictures("frame-000002.color.png", "frame-000002.depth.png"),
+    **wired("frame-000002.color.png", "frame-000002.depth.png"),
     "a pose is empty": (put(POSE, ""), "expected four rows"),
     "a pose is garbage": (put(POSE, b"\xff\xfe" + GARBAGE), POSE),
     "a pose of one row": (put(POSE, "1 0 0 0\n"), POSE),
