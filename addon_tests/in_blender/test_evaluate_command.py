@@ -68,7 +68,7 @@ def test_one_worker_comes_to_the_same_bytes_and_does_nothing_again(done, tmp_pat
     ("option", "value", "words"),
     [
         ("--estimators", "magic", "choose one of"),
-        ("--profiles", "nokia", "choose one of"),
+        ("--profiles", "nokia", "--profiles nokia: there is no phone profile 'nokia': choose one of"),
         ("--workers", "0", "give 1 or more"),
         ("--scheduler", "nowhere", "no scheduler answers"),
     ],

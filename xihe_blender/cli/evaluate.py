@@ -10,7 +10,7 @@ from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import EXIT_IN_PART, progress_line, when_news
 from xihe_blender.errors import UserError
 from xihe_blender.lab.batch.grid import DEFAULT_ESTIMATORS, BatchSettings
-from xihenet.phone import profile_names
+from xihenet.phone import load_profile, profile_names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,5 +60,9 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
 
 
 def _absolute_profile(phone: str) -> str:
-    """A profile as workers in another folder find it too."""
+    """A profile as workers in another folder find it too. UserError without one of that name, or for a wrong file."""
+    try:
+        load_profile(phone)
+    except ValueError as error:
+        raise UserError(f"--profiles {phone}: {error}") from error
     return phone if phone in profile_names() else str(Path(phone).resolve())
