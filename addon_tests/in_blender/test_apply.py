@@ -6,7 +6,17 @@ import pytest
 from effect_scenes import shader_look
 from renders import captured, rendered
 from shown_lights import keyed, shown_light
-from tiny_scenes import box, empty_scene, material, node_of, orthographic, room_with_a_virtual_sphere, set_world, sphere
+from tiny_scenes import (
+    add_lamp,
+    box,
+    empty_scene,
+    material,
+    node_of,
+    orthographic,
+    room_with_a_virtual_sphere,
+    set_world,
+    sphere,
+)
 
 from addon_tests.pure.made import constant
 from xihe_blender.apply.datablocks import NODE_GROUP_NAME, lights_by_sh
@@ -20,7 +30,7 @@ from xihe_blender.apply.sh_worlds import (
     remove_applied_light,
     world_name,
 )
-from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.compare.methods import composite, open_comparer
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
@@ -111,6 +121,40 @@ def test_each_method_lights_each_object_with_its_own_light():
         assert layers[layer]["Combined.A"][16, 32 - column] == 0.0
     assert not [w for w in bpy.data.worlds if w.name.startswith("Xihe")]
     assert not [c for c in bpy.data.collections if c.name.startswith("Xihe Lit")]
+
+
+def hide_in_renders(scene, collection):
+    collection.hide_render = True
+
+
+def leave_out_of_the_layer(scene, collection):
+    exclude_collection(scene.view_layers[0].layer_collection, collection)
+
+
+def hold_out(scene, collection):
+    scene.view_layers[0].layer_collection.children[collection.name].holdout = True
+
+
+def add_what_the_run_is_not_of(scene, collection):
+    add_lamp(scene, location=(0, 0, 1), energy=1000.0, collection=collection)
+    sphere(scene, "In front", (0, 0, 1), 0.4, material("Glow", emission=5.0), collection)
+
+
+@pytest.mark.parametrize("change", [hide_in_renders, leave_out_of_the_layer, hold_out, add_what_the_run_is_not_of])
+def test_the_ground_truth_shows_the_objects_of_the_run_and_no_others(change):
+    pictures = []
+    for has_changed in (False, True):
+        scene = empty_scene()
+        set_world(scene, (1.0, 1.0, 1.0))
+        virtual = virtual_collection(scene, create=True)
+        ball = sphere(scene, "Ball", (0, 0, 0), 0.4, material("Ball", (0.2, 0.2, 0.2)), virtual)
+        orthographic(scene)
+        if has_changed:
+            change(scene, virtual)
+        with open_comparer(scene, [ball], ["one"], RenderSettings((32, 32), 16, denoise=False)) as comparer:
+            pictures.append(comparer.render_ground_truth(1).radiance)
+    np.testing.assert_array_equal(*pictures)
+    assert pictures[0].min() < 0.3 < 0.9 < pictures[0].max()
 
 
 @pytest.mark.parametrize("wall_m", [1.5, 10.0])

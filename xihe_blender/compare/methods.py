@@ -49,7 +49,7 @@ from xihe_blender.capture.render import (
     stacked_rgb,
     working_scene,
 )
-from xihe_blender.capture.scanner import first_layer
+from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects
 from xihe_blender.compare.shadows import (
     BRIGHTEST,
     SHADOW_CHANNELS,
@@ -336,6 +336,11 @@ def open_comparer(
                 suns[key] = make_key_sun(f"{PREFIX}{layer} Key Light")
                 stack.callback(remove_key_sun, suns[key])
         truth = stack.enter_context(working_scene(scene, GROUND_TRUTH_SCENE, settings))
+        # The same objects as in the methods' pictures: no others, no lamp beside them, and however their collection is
+        # hidden.
+        leave_out_virtual_objects(truth, scene)
+        for item in objects:
+            truth.collection.objects.link(item)
         stack.callback(remove_lit_collections)
         lit = stack.enter_context(working_scene(scene, LIT_SCENE, settings))
         set_up_lit_scene(lit, objects, {layer: (key[1], worlds[key]) for key, layer in layers.items()})

@@ -107,6 +107,11 @@ def panel(strength):
     return lambda scene: setattr(light_strength(), "default_value", strength)
 
 
+def virtual_lamp(scene):
+    """A lamp among the virtual objects."""
+    add_lamp(scene, location=(0.0, 0.0, 2.0), name="Bulb", collection=virtual_collection(scene))
+
+
 def lamp_alone(energy, kind="POINT"):
     """A lamp instead of the panel."""
 

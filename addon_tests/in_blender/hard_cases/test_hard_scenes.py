@@ -23,6 +23,7 @@ from addon_tests.in_blender.hard_cases.broken_scenes import (
     remove,
     scale_all,
     sky,
+    virtual_lamp,
 )
 from addon_tests.in_blender.hard_cases.outcome import believed, lit, previsualised, refused, same_light, says
 
@@ -131,6 +132,7 @@ LAMPS = [
         case(f"a lamp of {w:g} W is refused", lamp_alone(w), refused(f"lamp 'Bulb' has {w:g} as its strength"))
         for w in (1e30, math.inf, math.nan)
     ),
+    case("a lamp among the virtual objects is named", virtual_lamp, says("Lamp 'Bulb' is among the virtual", n=1)),
     case("a lamp that breaks later is refused", lamp_that_breaks, refused("1e+31 as its strength at frame 2")),
     case("a lamp of -1e9 W is named", lamp_alone(-1e9), says("light of lamp 'Bulb' is negative", n=1)),
     case("a panel that shines negatively is named", panel(-6.0), says("light of material 'Light' is negative", n=1)),
