@@ -11,7 +11,6 @@ Not here: shadows on the room fall on catchers that `shadow_catchers` makes.
 from __future__ import annotations
 
 import math
-import os
 import shutil
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +22,7 @@ from mathutils import Matrix
 
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, lit_scene
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
+from xihe_blender.io.outputs import link_or_copy
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
 from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
@@ -68,11 +68,7 @@ class CapturedFrames:
         shown = self.pictures[min(self.pictures)]
         for number, frame in enumerate(self.frames, 1):
             shown = self.pictures.get(frame, shown)
-            target = self.folder / f"frame_{number:04d}.png"
-            try:
-                os.link(shown, target)
-            except OSError:  # On another disk, or one without links.
-                shutil.copyfile(shown, target)
+            link_or_copy(shown, self.folder / f"frame_{number:04d}.png")
         return self.folder / "frame_0001.png"
 
 

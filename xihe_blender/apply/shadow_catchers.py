@@ -69,47 +69,43 @@ def catch_shadows_of(
     """
     import numpy as np
 
+    from xihe_blender.scene.mesh_arrays import fill_mesh
+
     if around is not None:
         middle, reach = around
         away = np.linalg.norm(triangles - middle, axis=-1)
         triangles = triangles[(away <= reach).all(axis=1)]
-    n, mesh = len(triangles), catcher.data
+    mesh = catcher.data
     assert isinstance(mesh, bpy.types.Mesh)
     mesh.clear_geometry()
     points, corners = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
-    mesh.vertices.add(len(points))
-    mesh.vertices.foreach_set("co", points.astype(np.float32).ravel())
-    mesh.loops.add(3 * n)
-    mesh.loops.foreach_set("vertex_index", corners.astype(np.int32).ravel())
-    mesh.polygons.add(n)
-    mesh.polygons.foreach_set("loop_start", 3 * np.arange(n, dtype=np.int32))
-    mesh.polygons.foreach_set("use_smooth", np.ones(n, bool))
-    mesh.update(calc_edges=True)
+    fill_mesh(mesh, points, corners.ravel(), 3 * np.arange(len(triangles)))
 
 
 def corners_of(item: bpy.types.Object) -> ArrayF64:
     """(N, 3) the corners of a mesh without modifiers, in its own axes: of a catcher those of the world."""
     import numpy as np
 
+    from xihe_blender.scene.mesh_arrays import array_of
+
     mesh = item.data
     assert isinstance(mesh, bpy.types.Mesh)
-    points = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", points)
-    return points.reshape(-1, 3).astype(np.float64)
+    return array_of(mesh.vertices, "co", np.float32, 3).astype(np.float64)
 
 
 def triangles_of(scan: bpy.types.Object) -> ArrayF32:
     """(N, 3, 3) corners of the faces of a mesh, world, Blender units; of what its modifiers make nothing is known."""
     import numpy as np
 
+    from xihe_blender.scene.mesh_arrays import array_of
+
     mesh = scan.data
     assert isinstance(mesh, bpy.types.Mesh)
     mesh.calc_loop_triangles()
-    corners = np.empty(3 * len(mesh.loop_triangles), np.int32)
-    mesh.loop_triangles.foreach_get("vertices", corners)
+    corners = array_of(mesh.loop_triangles, "vertices", np.int32, 3)
     world_from_scan = np.array(scan.matrix_world, np.float64)
     placed = corners_of(scan) @ world_from_scan[:3, :3].T + world_from_scan[:3, 3]
-    triangles: ArrayF32 = placed.astype(np.float32)[corners].reshape(-1, 3, 3)
+    triangles: ArrayF32 = placed.astype(np.float32)[corners]
     return triangles
 
 

@@ -6,15 +6,13 @@ Every frame of the timeline has a file: between two pictures the earlier one sta
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import bpy
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import write_picture
+from xihe_blender.io.outputs import link_or_copy, write_picture
 from xihe_blender.scene.phone_capture import stored_path
 from xihenet.captures.capture import CapturedFrame
 from xihenet.records import RgbdFrame
@@ -58,7 +56,7 @@ class Footage:
         """The picture of the frame of the timeline `number`; `frame` may be missing where pictures are linked."""
         own = self.captured[number].picture
         if self.links and own is not None:
-            _link(own, self._file(number))
+            link_or_copy(own, self._file(number))
         else:
             assert frame is not None
             write_picture(self._file(number), frame.srgb_u8)
@@ -67,14 +65,7 @@ class Footage:
         """Let the earlier picture stand where the timeline has a frame between two."""
         for number in self.numbers:
             if number not in self.captured:
-                _link(self._file(number - 1), self._file(number))
-
-
-def _link(source: Path, target: Path) -> None:
-    try:
-        os.link(source.resolve(), target)
-    except OSError:  # On another disk, or one without links.
-        shutil.copyfile(source, target)
+                link_or_copy(self._file(number - 1), self._file(number))
 
 
 def show_behind(camera: bpy.types.Camera, footage: Footage, name: str, blend_folder: Path | None) -> tuple[int, int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from xihe_blender.scene.mesh_arrays import fill_mesh
 from xihe_blender.scene.phone_capture import SCAN
 from xihe_blender.scene.shader_nodes import new_material
 from xihenet.captures.capture import Capture
@@ -33,15 +34,7 @@ def frames_to_scan(capture: Capture) -> set[int]:
 def add_scan(name: str, scan: ScanMesh, unit_m: float) -> bpy.types.Object:
     """An object, in no collection yet, of `scan`; `unit_m` are metres in a Blender unit."""
     mesh = bpy.data.meshes.new(name)
-    n_faces = len(scan.quads)
-    mesh.vertices.add(len(scan.points_m))
-    mesh.vertices.foreach_set("co", (scan.points_m / np.float32(unit_m)).ravel())
-    mesh.loops.add(4 * n_faces)
-    mesh.loops.foreach_set("vertex_index", scan.quads.astype(np.int32).ravel())
-    mesh.polygons.add(n_faces)
-    mesh.polygons.foreach_set("loop_start", 4 * np.arange(n_faces, dtype=np.int32))
-    mesh.polygons.foreach_set("use_smooth", np.ones(n_faces, bool))
-    mesh.update(calc_edges=True)
+    fill_mesh(mesh, scan.points_m / np.float32(unit_m), scan.quads.ravel(), 4 * np.arange(len(scan.quads)))
     colours = mesh.color_attributes.new(COLOURS, "BYTE_COLOR", "POINT")
     opaque = np.column_stack([scan.colours.clip(0, 1), np.ones(len(scan.colours), np.float32)])
     colours.data.foreach_set("color", opaque.astype(np.float32).ravel())  # Linear; Blender encodes it

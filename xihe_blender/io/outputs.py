@@ -155,6 +155,13 @@ def _from_cpp(error: RuntimeError, path: Path) -> OSError:
     return OSError(code, words if code == errno.EIO else os.strerror(code), str(path))
 
 
+def link_or_copy(source: Path, target: Path) -> None:
+    try:
+        os.link(source.resolve(), target)
+    except OSError:  # On another disk, or one without links.
+        shutil.copyfile(source, target)
+
+
 def copy_whole(source: Path, target: Path) -> None:
     """Copy a file whole or not at all."""
     with written_whole(target) as beside:

@@ -17,9 +17,9 @@ from typing import Any, TypeVar
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
 from xihe_blender.light_transport.enclosure import MESHED
+from xihe_blender.scene.mesh_arrays import array_of
 
 NOT_VALUES = {"rna_type", "animation_data", "asset_data", "execution_time", "library", "library_weak_reference",
               "original", "override_library", "preview", "session_uid", "users"}  # fmt: skip
@@ -188,20 +188,14 @@ def _attributes(attributes: Iterable[Any]) -> Iterator[bytes]:
             continue
         if attribute.data_type not in ATTRIBUTES:
             raise UnreadableError(attribute.data_type)
-        yield _array(attribute.data, *ATTRIBUTES[attribute.data_type])
+        yield array_of(attribute.data, *ATTRIBUTES[attribute.data_type]).tobytes()
 
 
 def _geometry(data: Any) -> Iterator[bytes]:
     yield from _attributes(data.attributes)
     if hasattr(data, "polygons"):
-        yield _array(data.polygons, "loop_start", np.int32, 1)
+        yield array_of(data.polygons, "loop_start", np.int32).tobytes()
         if data.has_custom_normals:
-            yield _array(data.corner_normals, "vector", np.float32, 3)
+            yield array_of(data.corner_normals, "vector", np.float32, 3).tobytes()
     if hasattr(data, "curve_offset_data"):
-        yield _array(data.curve_offset_data, "value", np.int32, 1)
-
-
-def _array(collection: Any, name: str, dtype: type, width: int) -> bytes:
-    values: NDArray[Any] = np.empty(len(collection) * width, dtype)
-    collection.foreach_get(name, values)
-    return values.tobytes()
+        yield array_of(data.curve_offset_data, "value", np.int32).tobytes()

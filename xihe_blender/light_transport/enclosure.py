@@ -31,6 +31,7 @@ import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
+from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.records import ArrayF64, ArrayInt
 from xihenet.sphere import AnchorLattice
@@ -124,15 +125,12 @@ def _triangles(item: bpy.types.Object, *, is_boxed: bool) -> tuple[ArrayF64, Arr
     if mesh is None:
         return np.zeros((0, 3)), np.zeros((0, 3), np.intp), np.zeros(0, np.intp)
     mesh.calc_loop_triangles()
-    points = np.empty(3 * len(mesh.vertices), np.float32)
-    triangles = np.empty(3 * len(mesh.loop_triangles), np.int32)
-    slots = np.empty(len(mesh.loop_triangles), np.int32)
-    mesh.vertices.foreach_get("co", points)
-    mesh.loop_triangles.foreach_get("vertices", triangles)
-    mesh.loop_triangles.foreach_get("material_index", slots)
+    points = array_of(mesh.vertices, "co", np.float32, 3).astype(np.float64)
+    triangles = array_of(mesh.loop_triangles, "vertices", np.int32, 3).astype(np.intp)
+    slots = array_of(mesh.loop_triangles, "material_index", np.int32).astype(np.intp)
     if item.type != "MESH":
         item.to_mesh_clear()
-    return points.reshape(-1, 3).astype(np.float64), triangles.reshape(-1, 3).astype(np.intp), slots.astype(np.intp)
+    return points, triangles, slots
 
 
 def undivided_mesh(item: bpy.types.Object) -> bpy.types.Mesh:

@@ -34,6 +34,7 @@ from xihe_blender.light_transport.enclosure import (
     undivided_mesh,
 )
 from xihe_blender.light_transport.inspection import SceneInspection
+from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.shader_nodes import Interaction, Shading, light_emits, material_shading, world_shading
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES
 from xihenet.records import ArrayF64
@@ -241,9 +242,8 @@ def _used_materials(item: bpy.types.Object) -> list[bpy.types.Material | None]:
         return []
     if len(item.material_slots) < 2:
         return [_slot_material(item, 0)]
-    indices = np.empty(len(polygons), np.int32)
-    polygons.foreach_get("material_index", indices)
-    return [_slot_material(item, int(index)) for index in np.unique(indices)]
+    indices = np.unique(array_of(polygons, "material_index", np.int32))
+    return [_slot_material(item, int(index)) for index in indices]
 
 
 def _slot_material(item: bpy.types.Object, slot: int) -> bpy.types.Material | None:

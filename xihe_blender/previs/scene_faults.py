@@ -19,6 +19,7 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
+from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import SCAN
 from xihe_blender.scene.shader_nodes import constant, has_nodes
 from xihe_blender.scene.units import metres_per_unit
@@ -98,9 +99,8 @@ def _numbers(socket: bpy.types.NodeSocket) -> list[float]:
 
 
 def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[Fault]:
-    places = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", places)
-    n_broken = int(np.count_nonzero(~np.isfinite(places.reshape(-1, 3)).all(axis=1)))
+    places = array_of(mesh.vertices, "co", np.float32, 3)
+    n_broken = int(np.count_nonzero(~np.isfinite(places).all(axis=1)))
     if n_broken:
         said = f"{n_broken} vertices of mesh {mesh.name!r} are NaN or infinite: Cycles leaves their faces out."
         yield Fault(name=mesh.name, n=n_broken, said=said)

@@ -6,11 +6,12 @@ from typing import Any
 
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
+from xihe_blender.scene.mesh_arrays import fill_mesh
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.records import ArrayInt
 
 MIRROR = "Xihe Mirror Sphere"
 RIG_LOOKS: dict[str, dict[str, Any]] = {
@@ -57,21 +58,12 @@ def sphere_mesh(name: str, radius: float, n_around: int = 64, n_up: int = 32) ->
     across, along = np.sin(polar)[:, None], np.cos(polar)[:, None] * np.ones(n_around)
     rings = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), along], axis=-1).reshape(-1, 3)
     vertices = np.concatenate([rings, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]]) * radius
-    corners, starts = _sphere_faces(n_around, n_up - 1)
     mesh = bpy.data.meshes.new(name)
-    # By arrays, since from_pydata() takes longer than all else that a light probe does to the scene.
-    mesh.vertices.add(len(vertices))
-    mesh.loops.add(len(corners))
-    mesh.polygons.add(len(starts))
-    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
-    mesh.loops.foreach_set("vertex_index", corners)
-    mesh.polygons.foreach_set("loop_start", starts)
-    mesh.update(calc_edges=True)
-    mesh.shade_smooth()
+    fill_mesh(mesh, vertices, *_sphere_faces(n_around, n_up - 1))
     return mesh
 
 
-def _sphere_faces(n_around: int, n_rings: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _sphere_faces(n_around: int, n_rings: int) -> tuple[ArrayInt, ArrayInt]:
     """The corners of all faces, and where each begins: triangles at the poles, four corners between them.
 
     Vertices are rings from the top down, followed by the top and the bottom pole; faces turn outwards.
@@ -86,7 +78,7 @@ def _sphere_faces(n_around: int, n_rings: int) -> tuple[NDArray[np.int32], NDArr
     between = np.stack([upper + ring, lower + ring, lower + after, upper + after], axis=-1).reshape(-1, 4)
     n_corners = np.repeat([3, 4], [len(above) + len(below), len(between)])
     corners = np.concatenate([faces.ravel() for faces in (above, below, between)])
-    return corners.astype(np.int32), (np.cumsum(n_corners) - n_corners).astype(np.int32)
+    return corners, np.cumsum(n_corners) - n_corners
 
 
 def rig_material(name: str, look: dict[str, Any]) -> bpy.types.Material:
