@@ -154,9 +154,7 @@ def rank_correlation(first: ArrayF64, second: ArrayF64) -> float:
     return float(np.corrcoef(a, b)[0, 1])
 
 
-def rank_correlation_interval(
-    first: ArrayF64, second: ArrayF64, rng: np.random.Generator, n_draws: int = 2000
-) -> tuple[float, float]:
+def rank_correlation_interval(first: ArrayF64, second: ArrayF64, rng: np.random.Generator) -> tuple[float, float]:
     """The 95 % bootstrap interval of `rank_correlation` over pairs.
 
     NaN where that is undefined, and for fewer than FEWEST_RANKED pairs: of four places such intervals held the true
@@ -165,7 +163,7 @@ def rank_correlation_interval(
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if len(a) < FEWEST_RANKED:
         return float("nan"), float("nan")
-    draws = rng.integers(0, len(a), (n_draws, len(a)))
+    draws = rng.integers(0, len(a), (2000, len(a)))
     found = np.array([rank_correlation(a[draw], b[draw]) for draw in draws])
     found = found[np.isfinite(found)]
     if not len(found):

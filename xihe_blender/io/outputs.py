@@ -37,9 +37,9 @@ def _at(*parts: str) -> functools.cached_property[Path]:
     return functools.cached_property(lambda outputs: outputs.folder.joinpath(*parts))
 
 
-def _of_frame(folder: str, kind: str, suffix: str) -> Callable[[RunOutputs, int], Path]:
-    """A method that names the file of a frame, by its number."""
-    return lambda outputs, frame: outputs.folder / folder / f"{kind}_{frame:04d}.{suffix}"
+def _of_frame(kind: str, suffix: str) -> Callable[[RunOutputs, int], Path]:
+    """A method that names the file of a frame in the work folder, by its number."""
+    return lambda outputs, frame: outputs.folder / "work" / f"{kind}_{frame:04d}.{suffix}"
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,12 @@ class RunOutputs:
     # meets in each pixel, only for phones that ask; the seconds that rendering the capture took; path-traced radiance
     # until it is compared; metrics. Times and metrics are written last, so that their presence says that the capture,
     # or its pictures, are whole.
-    capture = _of_frame("work", "capture", "exr")
-    seen = _of_frame("work", "seen", "exr")
-    surfaces = _of_frame("work", "surfaces", "npz")
-    times = _of_frame("work", "times", "json")
-    ground_truth = _of_frame("work", "ground_truth", "npz")
-    compared = _of_frame("work", "compared", "json")
+    capture = _of_frame("capture", "exr")
+    seen = _of_frame("seen", "exr")
+    surfaces = _of_frame("surfaces", "npz")
+    times = _of_frame("times", "json")
+    ground_truth = _of_frame("ground_truth", "npz")
+    compared = _of_frame("compared", "json")
 
     @property
     def lit_blend(self) -> Path:

@@ -28,17 +28,17 @@ QUARTERS: dict[Layout, int] = {"+X": -1, "-Y": 2}
 """Which of Blender's axes is in the middle, where ours have +Y, and the quarters of a turn by which columns move."""
 
 
-def environment_picture(light: ObjectLight, platform: Platform, height: int = HEIGHT) -> ArrayF64:
+def environment_picture(light: ObjectLight, platform: Platform) -> ArrayF64:
     """(H, 2H, 3) radiance, none below zero, of what the engine does not take apart; laid out as ours are."""
-    picture = np.maximum(evaluate_panorama(rest_of(light), height, 2 * height), 0.0)
+    picture = np.maximum(evaluate_panorama(rest_of(light), HEIGHT, 2 * HEIGHT), 0.0)
     if light.key is not None and not platform.main_light_apart:
-        picture += disc_picture(light.key, height)
+        picture += disc_picture(light.key, HEIGHT)
     return picture
 
 
-def reflections_picture(light: ObjectLight, height: int = HEIGHT) -> ArrayF64 | None:
+def reflections_picture(light: ObjectLight) -> ArrayF64 | None:
     """(H, 2H, 3) radiance that glossy things reflect, or None for a light without reflections."""
-    return None if light.reflections is None else reflection_panorama(light.reflections, height).astype(np.float64)
+    return None if light.reflections is None else reflection_panorama(light.reflections, HEIGHT).astype(np.float64)
 
 
 def disc_picture(key: KeyLight, height: int) -> ArrayF64:

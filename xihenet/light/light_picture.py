@@ -117,7 +117,7 @@ def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256, margin:
     return encoded
 
 
-def seen_picture(cloud: UnitSphereCloud, height: int = 256) -> ArrayU8:
+def seen_picture(cloud: UnitSphereCloud, height: int) -> ArrayU8:
     """(height, 2 height, 3) uint8 sRGB: a panorama of what a cloud knows, grey for anchors that are not set.
 
     ValueError for a height below 1.

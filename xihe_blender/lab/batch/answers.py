@@ -227,7 +227,7 @@ def _how_sure(difference: PairedDifference) -> str:
 
 
 def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
-    found = phone_differences(trials, MEASURES[0])
+    found = phone_differences(trials)
     if not found:
         return "One phone was tried. Give two or more, such as <code>--profiles perfect,ipad_pro_lidar</code>."
     best = best_of(trials, MEASURES[0])
@@ -248,13 +248,13 @@ def _better_phone(trials: Sequence[Trial], best: str, one: Comparison) -> str:
     )
 
 
-def phone_differences(trials: Sequence[Trial], measure: Measure) -> list[Comparison]:
-    """Every phone against every earlier one, with the estimator that one would ship."""
+def phone_differences(trials: Sequence[Trial]) -> list[Comparison]:
+    """Coefficient error of every phone against every earlier one, with the estimator that one would ship."""
     best = best_of(trials, MEASURES[0])
     phones = names_of(trials, "phone")
     own = [trial for trial in trials if trial.estimator == best]
     pairs = [(first, second) for index, first in enumerate(phones) for second in phones[:index]]
-    found = [compared(own, measure, "phone", first, second) for first, second in pairs]
+    found = [compared(own, MEASURES[0], "phone", first, second) for first, second in pairs]
     return [one for one in found if one is not None]
 
 

@@ -116,7 +116,7 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
 
 def _phones(trials: Sequence[Trial]) -> str:
     names, phones = (answers.names_of(trials, key) for key in ("estimator", "phone"))
-    rows = _intervals(answers.phone_differences(trials, MEASURES[0]), phones)
+    rows = _intervals(answers.phone_differences(trials), phones)
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
     title = "Coefficient error: differences between phones"
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")

@@ -30,7 +30,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     yield Row("on phone and server, median", "ms", *found, "other machine", COMPUTING, 20.67 - 8.4, "frames")
     found = measured(times["step"], rng, statistic=np.median)
     yield Row("whole step over loopback, median", "ms", *found, "other machine", LOOPBACK, None, "frames")
-    sizes = np.array(cloud_bytes(sessions, 40))
+    sizes = np.array(cloud_bytes(sessions))
     for name in ("wifi", "home", "lte"):
         ways = link_ms(name, rng.choice(sizes, n), rng)
         found = measured(computing[: len(ways)] + ways, rng, statistic=np.median)

@@ -29,10 +29,10 @@ LOOPBACK = (
 RATIO = "The paper's is of university WiFi."
 
 
-def cloud_bytes(sessions: Sequence[Session], most: int) -> list[int]:
-    """Of clouds of one view each. UserError where no place is in view."""
+def cloud_bytes(sessions: Sequence[Session]) -> list[int]:
+    """Of clouds of one view each, at most 40 of a room. UserError where no place is in view."""
     lattice = AnchorLattice(1280)
-    clouds = [view.cloud(lattice) for view in views(sessions, most)]
+    clouds = [view.cloud(lattice) for view in views(sessions, 40)]
     if not clouds:
         raise UserError("no frame of the sessions has a place in view")
     return [len(encode_cloud(cloud)) for cloud in clouds]
@@ -46,7 +46,7 @@ def link_ms(name: str, sizes: ArrayInt, rng: np.random.Generator) -> ArrayF64:
 
 
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
-    sizes, rng = np.array(cloud_bytes(sessions, 40)), options.rng
+    sizes, rng = np.array(cloud_bytes(sessions)), options.rng
     n = 1000 if options.quick else 10_000
     for name in LINKS:
         times = {k: link_ms(name, rng.choice(sizes, (n, k)).sum(axis=1), rng) for k in POSITIONS}
