@@ -81,20 +81,19 @@ class Floor(Shell):
 
     def on_top(
         self, rng: Rng, support: Piece, kind: str, size: Size, finishes: tuple[Finish, ...], *, free_turn: bool = True
-    ) -> Piece | None:
-        """A small thing on the flat top of another, away from its edge."""
+    ) -> None:
+        """A small thing on the flat top of another, away from its edge; nothing where it finds no place."""
         turn = float(rng.uniform(0, 360)) if free_turn else 0.0
         half = (math.hypot(*size[:2]) if free_turn else max(size[:2])) / 2
         across, along = (side / 2 - 0.03 for side in support.size[:2])
         if min(across, along) <= half:
-            return None
+            return
         for _ in range(6):
             offset = float(rng.uniform(-across + half, across - half)), float(rng.uniform(-along + half, along - half))
             x, y = local_point(support, offset)
             turned = (support.turn_deg + turn) % 360
-            if piece := self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, piece_seed(rng)), 0.01):
-                return piece
-        return None
+            if self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, piece_seed(rng)), 0.01):
+                return
 
 
 def draw_point(rng: Rng, area: Rect) -> Point:
