@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import get_args
 
 import bpy
@@ -13,7 +14,7 @@ from tiny_scenes import empty_scene, saved
 
 from xihe_blender import addon
 from xihe_blender.addon import choices
-from xihe_blender.addon.preferences import preferences
+from xihe_blender.addon.preferences import path_chosen, preferences
 from xihe_blender.packaging.extension import build_extension, packed
 from xihe_blender.previs.settings import PRESETS
 from xihe_blender.scene.state import WORKING
@@ -105,6 +106,16 @@ def test_the_lists_are_those_of_the_science():
         for name in profile_names():
             scene.xihe.phone = name
             assert scene.xihe.phone == name
+
+
+def test_paths_of_the_preferences_hold_for_every_file(tmp_path):
+    empty_scene()
+    (tmp_path / "one").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "one" / "room.blend"))
+    # Not the preferences themselves: from Blender 4.5 on they warn of such a path.
+    user = SimpleNamespace(cache_folder="//../runs", phone_file="")
+    path_chosen(user, bpy.context)
+    assert (user.cache_folder, user.phone_file) == (str(tmp_path / "runs"), "")
 
 
 def test_the_phone_of_the_preferences_is_that_of_scenes_without_one():

@@ -14,6 +14,14 @@ from xihe_blender.addon.choices import DEFAULT_PHONE, FROM_FILE, number_of, phon
 from xihe_blender.io.old_runs import format_old_runs, runs_in
 
 
+def path_chosen(chosen: XihePreferences, _context: bpy.types.Context) -> None:
+    """Keep what holds for all files: before Blender 4.5 its file browser gives paths relative to the open one."""
+    for name in ("phone_file", "cache_folder"):
+        path = getattr(chosen, name)
+        if path.startswith("//"):
+            setattr(chosen, name, str(Path(bpy.path.abspath(path)).resolve()))
+
+
 class XihePreferences(bpy.types.AddonPreferences):
     bl_idname = "xihe"
 
@@ -24,7 +32,10 @@ class XihePreferences(bpy.types.AddonPreferences):
         default=number_of(DEFAULT_PHONE),
     )
     phone_file: bpy.props.StringProperty(
-        name="Phone File", description="TOML file that describes the phone", subtype="FILE_PATH"
+        name="Phone File",
+        description="TOML file that describes the phone",
+        subtype="FILE_PATH",
+        update=path_chosen,
     )
     cache_folder: bpy.props.StringProperty(
         name="Runs Folder",
@@ -33,6 +44,7 @@ class XihePreferences(bpy.types.AddonPreferences):
             "that is saved, in Blender's folder for a user's files"
         ),
         subtype="DIR_PATH",
+        update=path_chosen,
     )
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -55,6 +67,10 @@ class XihePreferences(bpy.types.AddonPreferences):
         row = split.row()
         row.label(text=format_old_runs(runs_in(runs_folder())), translate=False)
         row.operator("xihe.remove_old_runs", icon="TRASH")
+        if not self.cache_folder:
+            split = layout.split(factor=0.4)
+            split.label()
+            split.label(text=f"In {runs_folder()}", translate=False)
 
 
 def set_package(package: str) -> None:
