@@ -66,6 +66,20 @@ def test_a_virtual_object_called_as_what_stands_for_the_room_stays_when_the_scen
     assert differences(before, snapshot()) == ({}, [])
 
 
+def test_no_line_of_the_room_is_drawn_over_the_captured_frame():
+    scene = room_with_a_virtual_sphere()
+    table, lamp = bpy.data.objects["Table"], bpy.data.objects["Lamp"]
+    table.show_wire, table.display_type = True, "WIRE"
+    lamp.data.vertices.add(2)
+    lamp.data.edges.add(1)
+    lamp.data.edges[-1].vertices = len(lamp.data.vertices) - 2, len(lamp.data.vertices) - 1
+    lamp.data.update()
+    hide_behind_room(scene, scene, [])
+    of_table, of_lamp = bpy.data.objects["Xihe Lit Table"], bpy.data.objects["Xihe Lit Lamp"]
+    assert (of_table.display_type, of_table.show_wire, of_lamp.display_type) == ("TEXTURED", False, "BOUNDS")
+    assert (table.display_type, table.show_wire, lamp.display_type) == ("WIRE", True, "TEXTURED")
+
+
 @pytest.fixture
 def lit_file(ran):
     """The run, whose saved file is open."""

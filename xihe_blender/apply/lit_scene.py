@@ -118,10 +118,28 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
             copied = item.copy()
             copied.name, copied.is_holdout = f"{LIT_SCENE} {item.name}", True
             copied[ROOM_COPY] = copied.hide_select = True
+            _draw_no_lines(copied)
             copied.is_shadow_catcher &= SCAN not in item
             show_to_camera_alone(copied)
             holder.objects.link(copied)
     lit.collection.children.link(holder)
+
+
+def _draw_no_lines(copied: bpy.types.Object) -> None:
+    """Keep a copy's wires, name and axes off the captured frames, which are an overlay themselves and cannot hide them.
+
+    Edges without a face are drawn whatever an object's settings are, unless it is shown by its bounds; Cycles renders
+    it all the same.
+    """
+    import numpy as np
+
+    copied.show_wire = copied.show_name = copied.show_axis = copied.show_bounds = copied.show_in_front = False
+    copied.display_type = "TEXTURED"
+    if copied.type == "MESH":
+        is_loose = np.zeros(len(copied.data.edges), bool)
+        copied.data.edges.foreach_get("is_loose", is_loose)
+        if is_loose.any():
+            copied.display_type = "BOUNDS"
 
 
 def _seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
