@@ -33,7 +33,7 @@ TARGETS = (
     ("ldr", "Clipped Light", "Estimate light clipped at white, as in a phone's picture, and as the paper does"),
 )
 LIGHT_PARTS = (
-    ("auto", "What Objects Call For", "A key light with its shadow, and reflections if a virtual object is shiny"),
+    ("auto", "As Objects Need", "A key light with its shadow, and reflections if a virtual object is shiny"),
     ("sh", "Soft Light", "All of it as spherical harmonics: light without a sharp shadow"),
     (
         "sh+key",
