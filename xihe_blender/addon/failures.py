@@ -20,9 +20,11 @@ IN_THE_PANEL = {
     "--light": "Light",
     "--others": "Compare With",
     "--frames": "Own Frames",
+    "--height": "Height",
     "--network": "Network",
     "--out": "Runs Folder",
     "--phone": "Phone",
+    "--reach": "reach to xihe placement",
 }
 """What the panel calls an option of the command line, in whose words the work speaks."""
 
