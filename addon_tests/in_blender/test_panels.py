@@ -18,6 +18,7 @@ from addon_runs import registered_addon
 from addon_tests.pure import runs
 from xihe_blender.addon import overlay, panels, polls
 from xihe_blender.addon import runs_folder as reader
+from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
@@ -137,6 +138,11 @@ def test_what_a_run_asks_to_check_is_shown_in_the_panels_words_and_the_rest_is_i
         assert panels.shown_warnings(reader.last_run(str(run_folder))) == shown
     many = replace(reader.last_run(str(run_folder)), warnings=(*said, "e"))
     assert panels.shown_warnings(many)[3:] == ["And 2 more: see the report"]
+
+
+def test_errors_of_the_command_line_are_said_in_the_panels_words():
+    said = in_the_panels_words("light.exr cannot be read: run xihe previs again, or add --light sh+key with --units")
+    assert said == "light.exr cannot be read: run again, or add Light sh+key with --units"
 
 
 def test_results_are_read_once_until_they_change(run_folder):

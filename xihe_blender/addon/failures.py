@@ -25,8 +25,9 @@ IN_THE_PANEL = {
     "--out": "Runs Folder",
     "--phone": "Phone",
     "--reach": "reach to xihe placement",
+    "run xihe previs": "run",
 }
-"""What the panel calls an option of the command line, in whose words the work speaks."""
+"""What the panel calls a command or an option of the command line, in whose words the work speaks."""
 
 
 def format_error(error: BaseException) -> str:
@@ -40,8 +41,8 @@ def format_error(error: BaseException) -> str:
 
 
 def in_the_panels_words(line: str) -> str:
-    """`line` with what the panel calls the command line's options."""
-    return re.sub(r"--[a-z]+", lambda option: IN_THE_PANEL.get(option[0], option[0]), line)
+    """`line` with what the panel calls the command line's commands and options."""
+    return re.sub(r"--[a-z]+|run xihe previs", lambda option: IN_THE_PANEL.get(option[0], option[0]), line)
 
 
 def failed(operator: bpy.types.Operator, context: bpy.types.Context, error: BaseException) -> set[str]:
