@@ -154,9 +154,19 @@ def test_a_library_or_an_image_that_has_changed_since_makes_another_run(library,
     found.append(made(scene))
     for content in (b"one", b"two"):
         picture.write_bytes(content)
-        bpy.data.images.load(str(picture), check_existing=True)
+        shown_in_the_sky(bpy.data.images.load(str(picture), check_existing=True))
         found.append(made(scene))
+    behind = tmp_path / "behind.png"
+    behind.write_bytes(b"three")
+    scene.camera.data.background_images.new().image = bpy.data.images.load(str(behind))
+    assert made(scene) == found[-1]
     assert found[0] is None and len(set(found)) == len(found)
+
+
+def shown_in_the_sky(image):
+    world = bpy.data.worlds.new("Sky")
+    world.use_nodes, world.use_fake_user = True, True
+    world.node_tree.nodes.new("ShaderNodeTexEnvironment").image = image
 
 
 def numbers(results):

@@ -29,6 +29,9 @@ from xihenet.records import ArrayF64
 
 DEFAULT_SIZE = (256, 192)
 
+LOOKED_AT_IN = (bpy.types.Camera, bpy.types.Screen, bpy.types.WorkSpace, bpy.types.WindowManager)
+"""Users of an image that no render shows."""
+
 
 @dataclass(frozen=True, eq=False)
 class Probe:
@@ -174,9 +177,15 @@ def made_of(
 def _linked_sha256() -> str | None:
     """SHA-256 of the libraries and images that the open file reads from other files; None without any.
 
-    Of a film or a sequence it is that of the file that Blender names; pictures of our own are left out.
+    Of a film or a sequence it is that of the file that Blender names. Pictures of our own are left out, and those that
+    are only looked at: behind a camera or in an editor.
     """
-    images = [image for image in bpy.data.images if not image.packed_files and not image.name.startswith(PREFIX)]
+    users = bpy.data.user_map(subset=[image for image in bpy.data.images if not image.packed_files])
+    images = [
+        image
+        for image, of_image in users.items()
+        if not image.name.startswith(PREFIX) and any(not isinstance(user, LOOKED_AT_IN) for user in of_image)
+    ]
     paths = {bpy.path.abspath(one.filepath, library=one.library) for one in (*bpy.data.libraries, *images)}
     digests = []
     for path in map(Path, paths):
