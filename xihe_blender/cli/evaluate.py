@@ -10,6 +10,7 @@ from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import EXIT_IN_PART, progress_line, when_news
 from xihe_blender.errors import UserError
 from xihe_blender.lab.batch.grid import DEFAULT_ESTIMATORS, BatchSettings
+from xihenet.formats import format_count
 from xihenet.phone import load_profile, profile_names
 
 
@@ -54,7 +55,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
     results, n_done_now = run_blocking(job, when_news(progress_line(stderr)))
     for one in results.failed:
         print(f"xihe: {one.what}: {one.reason}", file=stderr)
-    print(f"{len(results.trials)} trials in {len(results.units)} units, {n_done_now} of them done now", file=stdout)
+    trials, units = format_count(len(results.trials), "trial"), format_count(len(results.units), "unit")
+    print(f"{trials} in {units}, {n_done_now} of them done now", file=stdout)
     print(options.out / "report.html", file=stdout)
     return EXIT_IN_PART if results.failed else 0
 
