@@ -21,9 +21,11 @@ from xihe_blender.lab.rooms.render_room import RoomRenderSettings
 from xihe_blender.lab.rooms.scene import add_scene
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
+from xihe_blender.previs.scene_faults import unseen_faults
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.estimation_positions import estimation_positions
+from xihe_blender.scene.phone_capture import CAPTURE
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
@@ -111,6 +113,14 @@ def test_a_file_runs_the_scene_it_was_saved_in(tmp_path):
     bpy.ops.scene.new(type="EMPTY")
     bpy.context.scene.name = "Second"
     assert open_blend(saved(tmp_path / "two.blend")).name == "Second"
+
+
+def test_a_holdout_is_a_fault_of_what_is_rendered_and_none_over_a_recording():
+    scene = room_with_a_virtual_sphere(1)
+    scene.objects["Table"].is_holdout = scene.objects["Ball"].is_holdout = True
+    assert [fault.name for fault in unseen_faults(scene)] == ["Table"]
+    scene[CAPTURE] = "recording"
+    assert not list(unseen_faults(scene))
 
 
 # ----------------------------------------------------------------------------------------------------------- libraries

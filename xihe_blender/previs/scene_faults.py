@@ -20,7 +20,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
 from xihe_blender.scene.mesh_arrays import array_of
-from xihe_blender.scene.phone_capture import SCAN
+from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.shader_nodes import constant, has_nodes
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
@@ -109,18 +109,20 @@ def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[Fault]:
 def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
     """What lights its surroundings while the phone sees a hole in its place, and lamps among the virtual objects.
 
-    A recording's scan is a hole by intention.
+    Over a phone's recording holes are made by intention.
     """
     collection = virtual_collection(scene)
     virtual = set(collection.all_objects) if collection is not None else set()
     for lamp in sorted(item.name for item in virtual if item.type == "LIGHT"):
         said = f"Lamp {lamp!r} is among the virtual objects and shines on nothing: move it out of their collection."
         yield Fault(name=lamp, n=1, said=said)
+    if remembered_capture(scene) is not None:
+        return
     layer = scene.view_layers[0]
     unseen = [
         item.name
         for item in layer.objects
-        if item.type in GEOMETRY_TYPES and not item.hide_render and SCAN not in item and item not in virtual
+        if item.type in GEOMETRY_TYPES and not item.hide_render and item not in virtual
         if item.is_holdout or item.is_shadow_catcher
         or item.holdout_get(view_layer=layer) or item.indirect_only_get(view_layer=layer)
     ]  # fmt: skip
