@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     megapixels = f"{MOST_PIXELS // 10**6} megapixels at most"
     dering = (
         "for a light to look at: smooth each colour just enough that no direction is negative; changes half of the "
-        "lights of lattice, and their error by 1 percent at most"
+        "lights of lattice, and adds 5 to 7 percent to the error of all of the light"
     )
     out = "folder for estimate.json and a picture of each light: its panorama and three lit spheres"
     others = one_of(name for name in estimators.names() if name != "truth")
