@@ -71,6 +71,7 @@ def test_a_trial_has_the_numbers_of_a_run_of_its_own_and_all_trials_render_no_mo
         alone = run(scene, tmp_path / "alone", settings)
     assert trial.n_estimates == alone["summary"]["n_estimates"]
     assert trial.shc_rmse == alone["summary"]["mean_shc_rmse"]
+    assert trial.object_pixels == pytest.approx(alone["summary"]["object_pixels"])
     own = alone["comparison"]["projection"]
     assert {metric: getattr(trial, metric) for metric in own} == pytest.approx(own, rel=1e-5)
     assert renders_of_the_room(of_unit) == renders_of_the_room(of_run) and len(of_run) > N_FRAMES

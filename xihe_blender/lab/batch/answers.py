@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from xihe_blender.lab.batch.results import Trial, TrialFrame
-from xihe_blender.report.values import code, escape, mean
+from xihe_blender.report.values import FEW_PIXELS, code, escape, mean, too_small_to_judge
 from xihenet.formats import MINUS, format_count, format_list, format_number, format_percent, format_signed
 from xihenet.paired import CONFIDENCE, PairedDifference, held_at_most, paired_difference
 
@@ -178,6 +178,10 @@ def what_it_stands_on(trials: Sequence[Trial]) -> str:
     scenes, seeds, phones = (names_of(trials, key) for key in ("scene", "seed", "phone"))
     counts = [format_count(len(scenes), "scene"), format_count(len(seeds), "seed"), format_count(len(phones), "phone")]
     words = f"{format_list(counts)}, {format_count(len(trials), 'trial')}."
+    pixels = {trial.scene: trial.object_pixels for trial in trials}
+    if small := [escape(scene) for scene, n in pixels.items() if too_small_to_judge(n) is not None]:
+        words += f" In {format_list(small)} virtual objects cover fewer than {FEW_PIXELS} pixels of a picture"
+        words += ", too few to judge pictures by."
     if len(scenes) == 1:
         return f"{words} One scene says nothing about others: intervals are over the trials in it."
     if (held := held_at_most(len(scenes))) < CONFIDENCE:

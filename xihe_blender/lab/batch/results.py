@@ -87,6 +87,7 @@ class TrialFigures:
     si_rmse: OfPicture
     angular_deg: OfPicture
     ring_rmse: OfPicture = None
+    object_pixels: Annotated[float | None, "of a compared picture that virtual objects cover, mean"] = None
     payload_bytes: Annotated[int, "sent"]
     frames: Annotated[tuple[TrialFrame, ...], "see there"]
     thetas: Annotated[tuple[TriggerFigures, ...], "see there; none for estimators that the trigger does not matter to"]

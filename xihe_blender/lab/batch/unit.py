@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import operator
 import statistics
 import sys
@@ -65,10 +66,12 @@ WITHOUT_ANCHORS = ("ambient", "truth")
 
 @dataclass(frozen=True)
 class ComparedTrials:
-    """The pictures of a frame: metrics by the number of the trial, and the seconds that rendering all of them took."""
+    """The pictures of a frame: metrics by the number of the trial, the seconds that rendering all of them took, and how
+    many pixels virtual objects cover."""
 
     metrics: dict[str, Metrics]
     render_s: float
+    object_pixels: float | None = None
 
 
 def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) -> Job[UnitResult]:
@@ -95,9 +98,9 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
             walks.append(run_blocking(walk_path(run)))
             yield run.progress("ground truth", 0, f"trial {index + 1} of {len(runs)} has walked")
         swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
-        by_trial, compared_s = yield from compare_unit(runs, walks)
+        by_trial, pixels, compared_s = yield from compare_unit(runs, walks)
     return UnitResult(
-        trials=tuple(map(trial_figures, runs, walks, by_trial, swept)),
+        trials=tuple(map(trial_figures, runs, walks, by_trial, swept, itertools.repeat(pixels))),
         step_ms=tuple(map(_mean_step_ms, walks)),
         render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
         cost=_cost(folder, start_s, start_processor_s),
@@ -134,8 +137,11 @@ def _peak_memory_mb() -> float | None:
 
 def compare_unit(
     runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]
-) -> Job[tuple[list[dict[int, Metrics]], float]]:
-    """Every trial against the truth, at the frames that `xihe previs` would compare: metrics by frame, and seconds."""
+) -> Job[tuple[list[dict[int, Metrics]], dict[int, float], float]]:
+    """Every trial against the truth, at the frames that `xihe previs` would compare.
+
+    Metrics of each trial by frame, pixels that virtual objects cover by frame, and seconds.
+    """
     first = runs[0]
     step = first.settings.preset_values.comparison_step
     wanted = [compared_frames([frame.frame for frame in walked.frames if frame.active], step) for walked in walks]
@@ -149,6 +155,7 @@ def compare_unit(
     kept = {frame: kept_json(first.outputs.compared(frame), read) for frame in frames if sources[frame] == frame}
     missing = [frame for frame, content in kept.items() if content is None]
     by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
+    pixels: dict[int, float] = {}
     with contextlib.ExitStack() as stack:
         if missing:
             methods = [str(index) for index in range(len(runs))]
@@ -164,9 +171,10 @@ def compare_unit(
                 content = kept[frame] = _compared(first, frame, lights[frame], comparer, by_trial)
                 write_json(first.outputs.compared(frame), as_json(content))
                 first.outputs.ground_truth(frame).unlink()
+            pixels[frame] = content.object_pixels or 0.0
             for index in trials[frame]:
                 by_trial[index][frame] = content.metrics[str(index)]
-    return by_trial, sum(content.render_s for content in kept.values() if content is not None)
+    return by_trial, pixels, sum(content.render_s for content in kept.values() if content is not None)
 
 
 def _compared(
@@ -187,15 +195,16 @@ def _compared(
             shown = (display(compared.ground_truth), display(picture), error)
             for kind, pixels in zip(WORST_KINDS, shown, strict=True):
                 write_picture(worst_picture(run.outputs.folder, int(trial), kind), pixels)
-    return ComparedTrials(metrics, compared.render_s)
+    return ComparedTrials(metrics, compared.render_s, float(compared.weights.sum()))
 
 
 # ---------------------------------------------------------------------------------------------- trials
 
 
 def trial_figures(
-    run: PreparedRun, walked: WalkedPath, compared: Mapping[int, Metrics], swept: Sequence[TriggerFigures]
-) -> TrialFigures:
+    run: PreparedRun, walked: WalkedPath, compared: Mapping[int, Metrics], swept: Sequence[TriggerFigures],
+    pixels: Mapping[int, float],
+) -> TrialFigures:  # fmt: skip
     """One trial: its means, its frames, and what a more or less eager trigger would have done."""
     active = [entry for entry in walked.frames if entry.active]
     probes = [probe for entry in active for probe in entry.probes]
@@ -212,6 +221,7 @@ def trial_figures(
         estimates_per_minute=estimates_per_minute(walked, n_fired),
         **_means(probes),
         **{metric: mean(getattr(frame, metric) for frame in frames) for metric in METRICS},
+        object_pixels=mean(pixels[frame] or None for frame in compared),
         payload_bytes=sum(probe.payload_bytes for probe in probes),
         frames=frames,
         thetas=tuple(swept),
