@@ -1,14 +1,16 @@
-"""A run in a second Blender that goes away without a word."""
+"""A run in a second Blender: one that ends without a word, of a scene that was renamed, and what its window shows."""
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import bpy
 import pytest
 
 from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
+from xihe_blender.addon.modal_job import RunUnderWay
 from xihe_blender.errors import UserError
-from xihe_blender.jobs import run_blocking
+from xihe_blender.jobs import Progress, run_blocking
 
 
 def test_a_run_that_ended_early_says_how_to_go_on_and_where_its_console_is(tmp_path):
@@ -35,3 +37,18 @@ def test_a_run_finds_its_scene_under_another_name_where_no_other_can_be_meant(tm
     assert run.find_scene() == other
     bpy.data.scenes.remove(other)
     scene.name = asked
+
+
+def test_the_mouse_pointer_shows_the_progress_of_a_job_in_this_file_alone():
+    shown = []
+    manager = SimpleNamespace(
+        xihe=SimpleNamespace(), windows=(), progress_begin=lambda *_: None, progress_update=shown.append,
+        progress_end=lambda: None,
+    )  # fmt: skip
+    job = (Progress(done, 4, "capturing") for done in (1, 2, 3))
+    run = RunUnderWay(SimpleNamespace(window_manager=manager, workspace=None), job)
+    run.step()
+    manager.xihe.works_here = False
+    run.step()
+    assert (shown, manager.xihe.progress) == ([25], 0.5)
+    run.end()

@@ -78,7 +78,8 @@ class RunUnderWay:
         left_s = self.time_left.after(progress, time.perf_counter())
         state = self.window_manager.xihe
         state.progress, state.doing, state.seconds_left = share, progress.doing, left_s or 0.0
-        self.window_manager.progress_update(round(100 * share))
+        if state.works_here:  # It makes digits of the mouse pointer, for as long as the window may wait.
+            self.window_manager.progress_update(round(100 * share))
         left = "" if left_s is None else f", {format_duration(left_s)} left"
         self._say(f"Xihe: {share:.0%}, {progress.doing}{left}     Esc: cancel")
         redraw(self.window_manager)

@@ -38,6 +38,7 @@ class Following(ModalJob):
         state = bpy.context.window_manager.xihe
         # Until now it has worked in the open file, if only to look at the camera path.
         self.works_here = state.works_here = False
+        bpy.context.window_manager.progress_end()
         state.newest_run = str(run.folder)
         return run.follow()
 
