@@ -165,7 +165,7 @@ def test_frames_that_are_gone_are_told_in_one_line_and_the_light_stays(scene, ra
     bpy.data.objects["Ball"].location.x += 0.4
     bpy.context.view_layer.update()
     before = keyed(bpy.data.worlds["Xihe Ball"])[0]
-    with pytest.raises(RuntimeError, match=r"the captures of the last run are gone or damaged .*: run again"):
+    with pytest.raises(RuntimeError, match=r"The captures of the last run are gone or damaged .*: run again"):
         bpy.ops.xihe.update_light()
     assert keyed(bpy.data.worlds["Xihe Ball"])[0].keys() == before.keys()
 

@@ -111,15 +111,34 @@ def _put_back(area: bpy.types.Area, before: str) -> None:
         setattr(space.overlay, line, line in shown)
 
 
+def _has_left() -> bool:
+    """Whether the lit scene was shown, and no window shows it any more."""
+    return bool(_views) and not any(ROOM in window.scene for window in bpy.context.window_manager.windows)
+
+
 @bpy.app.handlers.persistent
 def _after_undo(*_: Any) -> None:
-    if _views and not any(ROOM in window.scene for window in bpy.context.window_manager.windows):
+    if _has_left():
         _put_views_back()
+
+
+@bpy.app.handlers.persistent
+def _after_update(*_: Any) -> None:
+    """With the lit scene deleted in Blender's own menu of scenes; not while Blender evaluates."""
+    if _has_left() and not bpy.app.timers.is_registered(_after_undo):
+        bpy.app.timers.register(_after_undo, first_interval=0.0)
 
 
 @bpy.app.handlers.persistent
 def _after_load(*_: Any) -> None:
     _views.clear()
+    _listen()
+
+
+def _listen() -> None:
+    """To another scene being chosen in Blender's own menu; loading a file ends it."""
+    bpy.msgbus.clear_by_owner(_views)
+    bpy.msgbus.subscribe_rna(key=(bpy.types.Window, "scene"), owner=_views, args=(), notify=_after_undo)
 
 
 class XIHE_OT_remove_light(Action, bpy.types.Operator):
@@ -145,7 +164,7 @@ CLASSES = (XIHE_OT_apply_light, XIHE_OT_show_lit, XIHE_OT_show_room, XIHE_OT_rem
 def _handlers() -> list[tuple[list[Any], Any]]:
     handlers = bpy.app.handlers
     undone = [(handlers.undo_post, _after_undo), (handlers.redo_post, _after_undo)]
-    return [*undone, (handlers.load_post, _after_load)]
+    return [*undone, (handlers.depsgraph_update_post, _after_update), (handlers.load_post, _after_load)]
 
 
 def register() -> None:
@@ -153,11 +172,13 @@ def register() -> None:
         bpy.utils.register_class(cls)
     for handlers, called in _handlers():
         handlers.append(called)
+    _listen()
 
 
 def unregister() -> None:
     for handlers, called in _handlers():
         handlers.remove(called)
+    bpy.msgbus.clear_by_owner(_views)
     _views.clear()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

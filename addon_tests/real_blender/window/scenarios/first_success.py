@@ -84,6 +84,14 @@ def see_it_lit(w):
     yield 1
     w.facts["back"] = {"scene": w.window.scene.name, "shading": space.shading.type}
     w.facts["back"]["floor"] = space.overlay.show_floor
+    with w.context():
+        bpy.ops.xihe.show_lit()
+    yield 0.5
+    # As Blender's own menu of scenes does.
+    w.window.scene = bpy.data.scenes["Scene"]
+    yield 0.5
+    w.facts["back_by_menu"] = {"scene": w.window.scene.name, "shading": space.shading.type}
+    w.facts["back_by_menu"]["floor"] = space.overlay.show_floor
     yield from w.picture("4_back")
 
 
