@@ -254,7 +254,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="In the Air", description="Map a grid in free air at a height, in place of upward surfaces"
     )
     map_height_m: bpy.props.FloatProperty(
-        name="Height", description="Of the grid, in metres above the world's origin", default=1.0, soft_min=0.0
+        name="Height", description="Height of the grid, in metres above the world's origin", default=1.0, soft_min=0.0
     )
     map_place: bpy.props.IntProperty(
         name="Place", description="Place of the map that is marked; -1 for none", default=-1, min=-1
