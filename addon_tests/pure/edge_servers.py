@@ -32,13 +32,13 @@ def asked(port, method, path, body=b"", **headers):
 
 
 @contextlib.contextmanager
-def serving(*options, stderr=subprocess.PIPE):
-    """The process of `xihe serve`, and its port."""
+def serving(*options, stderr=subprocess.PIPE, host=r"127\.0\.0\.1"):
+    """The process of `xihe serve`, and its port; `host` is how it says where it listens."""
     command = [sys.executable, "-m", "xihe_blender", "serve", *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
     try:
         said = process.stdout.readline()
-        found = re.search(r"serving at https?://127\.0\.0\.1:(\d+), Ctrl-C to stop", said)
+        found = re.search(rf"serving at https?://{host}:(\d+), Ctrl-C to stop", said)
         assert found, process.stderr and process.stderr.read()
         yield process, int(found[1])
     finally:

@@ -1,7 +1,9 @@
 """The wire formats: bytes as documented, and round trips; odd bytes are in test_any_bytes.py and in hard_cases."""
 
 import dataclasses
+import re
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +34,15 @@ def clouds(draw):
         draw(hnp.arrays(np.float32, n, elements=distance)),
         draw(hnp.arrays(np.bool_, n)),
     )
+
+
+def test_a_client_in_another_language_reads_the_records_in_the_docs():
+    page = (Path(__file__).parents[2] / "docs" / "edge.md").read_text(encoding="utf-8")
+    told = re.findall(r"^\| (`\w*float\w*`.*?) \| ([\d, ]+) \|", page, re.MULTILINE)
+    pairs = [zip(re.findall(r"`(\w+)`", names), sizes.split(", "), strict=True) for names, sizes in told]
+    assert {name: int(size) for row in pairs for name, size in row} == {
+        name: wire_format.bytes_per_record for name, wire_format in METHODS.items()
+    }
 
 
 def test_every_format_is_what_struct_writes_with_the_sizes_of_the_papers_table():

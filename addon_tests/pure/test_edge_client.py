@@ -267,7 +267,7 @@ def test_a_command_says_which_estimator_the_server_has(server):
         backend_at(f"http://127.0.0.1:{server.port}", "projection", N, "ldr")
 
 
-def test_over_tls_a_client_that_trusts_the_certificate_gets_light_and_another_says_why_not(tmp_path):
+def test_over_tls_a_client_that_trusts_the_certificate_gets_light_and_another_says_why_not(tmp_path, monkeypatch):
     authority, certificate, key = trustme.CA(), tmp_path / "certificate.pem", tmp_path / "key.pem"
     issued = authority.issue_cert("127.0.0.1")
     issued.private_key_pem.write_to_path(key)
@@ -282,6 +282,9 @@ def test_over_tls_a_client_that_trusts_the_certificate_gets_light_and_another_sa
             assert shc_rmse(backend.estimate(cloud), local.estimate(cloud)) < 1e-3
         with pytest.raises(NoAnswer, match="CERTIFICATE_VERIFY_FAILED"):
             EdgeBackend(url, N, patience=QUICK, bearer="secret")
+        monkeypatch.setattr(client, "OF_A_COMMAND", QUICK)
+        with pytest.raises(NoAnswer, match="in the variable SSL_CERT_FILE, or leave --backend out"):
+            backend_at(url, "projection", N, "ldr")
         with pytest.raises(NoAnswer):  # It speaks no TLS.
             EdgeBackend(url.replace("https", "http"), N, patience=QUICK, bearer="secret")
         # Who connects and never shakes hands is cut off like any other who is late.

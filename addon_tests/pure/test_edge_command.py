@@ -37,6 +37,14 @@ def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
     assert token not in logged and session not in logged
 
 
+def test_an_ipv6_address_is_said_as_it_is_opened():
+    with (
+        serving(*PROJECTION, "0", "--host", "::1", host=r"\[::1\]") as (_, port),
+        closing(EdgeBackend(f"http://[::1]:{port}", 512)) as backend,
+    ):
+        assert backend.name == "projection"
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -53,7 +61,10 @@ def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
         (["--key", "k.pem"], "give --certificate as well"),
         (["--bearer", "missing.txt"], "give a file with a token in it"),
         (["--port", "0", "--certificate", "missing.pem"], "check --certificate and --key"),
+        (["--port", "0", "--certificate", __file__], "cannot speak HTTPS with"),
         (["--host", "192.0.2.1"], "choose another --host or --port"),
+        (["--allow-origin", "https://app.example/"], "--allow-origin: expected what browsers send"),
+        (["--allow-origin", "app.example"], "--allow-origin: expected what browsers send"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_the_fix(options, said, capfd):

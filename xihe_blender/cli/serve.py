@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import contextlib
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ NEEDS_TORNADO = "the server needs Tornado: pip install 'xihe-blender[edge]'"
 NEEDS_REDIS = "--store needs redis-py: pip install 'xihe-blender[edge]'"
 STORE_VARIABLE = "XIHE_EDGE_STORE"
 NO_FILE = "note: the store's append-only file is off, so that sessions are lost when it restarts"
+ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\sA-Z]+")
+"""A scheme and a host in lower case, and a port: browsers send nothing else, and it is compared as text."""
 SIZES = f"numbers of anchors that sessions may have; default: {', '.join(map(str, PUBLISHED_SIZES))}"
 
 
@@ -55,13 +58,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     try:
         from xihenet.edge.handler import logged_to
-        from xihenet.edge.server import serve
+        from xihenet.edge.server import serve, tls_of
         from xihenet.edge.workers import CannotStart, serve_by_workers
     except ModuleNotFoundError as error:
         if error.name != "tornado":
             raise
         raise UserError(NEEDS_TORNADO) from error
     settings = server_settings(options)
+    try:
+        tls_of(settings)
+    except OSError as error:
+        files = " and ".join(str(path) for path in (options.certificate, options.key) if path is not None)
+        raise UserError(
+            f"cannot speak HTTPS with {files} ({error.strerror or error}): check --certificate and --key, which are "
+            "PEM files of one another, the key without a password"
+        ) from error
     try:
         inference = Inference(options.estimator, options.device)
     except ValueError as error:
@@ -75,9 +86,10 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     if settings.store:
         _check_store(settings.store, stderr)
     scheme = "http" if settings.certificate is None else "https"
+    host = f"[{options.host}]" if ":" in options.host else options.host  # IPv6, as it is in URLs
 
     def ready(port: int) -> None:
-        print(f"serving at {scheme}://{options.host}:{port}, Ctrl-C to stop", file=stdout, flush=True)
+        print(f"serving at {scheme}://{host}:{port}, Ctrl-C to stop", file=stdout, flush=True)
 
     try:
         with logged_to(stderr):
@@ -90,8 +102,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     except OSError as error:
         reason = error.strerror or error
         raise UserError(
-            f"cannot listen at {options.host}:{options.port} ({reason}): choose another --host or --port, or check "
-            "--certificate and --key"
+            f"cannot listen at {host}:{options.port} ({reason}): choose another --host or --port"
         ) from error
 
 
@@ -106,6 +117,12 @@ def server_settings(options: argparse.Namespace) -> ServerSettings:
         raise UserError("--expire and --sessions: expected more than 0")
     if options.key is not None and options.certificate is None:
         raise UserError("--key belongs to a certificate: give --certificate as well")
+    for origin in options.allow_origin:
+        if origin not in ("*", "null") and not ORIGIN.fullmatch(origin):
+            raise UserError(
+                f"--allow-origin: expected what browsers send as Origin, such as https://app.example, without a path "
+                f"or a slash at the end, or *, got {origin!r}"
+            )
     if options.workers < 1:
         raise UserError(f"--workers: expected 1 or more, got {options.workers}")
     store = options.store or os.environ.get(STORE_VARIABLE, "")

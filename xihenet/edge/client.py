@@ -30,7 +30,7 @@ from xihenet.backend import Answer, NoAnswer
 from xihenet.codec import EncodingMethod, encode_cloud
 from xihenet.edge import protocol
 from xihenet.edge.axes import OUR_AXES, sh_from
-from xihenet.edge.connection import EdgeRefused, Patience, PatientConnection, TryAgain
+from xihenet.edge.connection import EdgeRefused, NotTrusted, Patience, PatientConnection, TryAgain
 from xihenet.estimators.ambient import Ambient
 from xihenet.estimators.base import EstimateContext, NotFinite, Target
 from xihenet.records import ArrayF64, UnitSphereCloud
@@ -240,7 +240,9 @@ def backend_at(url: str, estimator: str, n_anchors: int, target: Target) -> Edge
     try:
         backend = EdgeBackend(url, n_anchors, target, patience=OF_A_COMMAND, bearer=bearer)
     except NoAnswer as error:
-        raise NoAnswer(f"{error}: start xihe serve there, or leave --backend out") from None
+        is_up = isinstance(error.__cause__, NotTrusted)
+        fix = "name a file with it in the variable SSL_CERT_FILE" if is_up else "start xihe serve there"
+        raise NoAnswer(f"{error}: {fix}, or leave --backend out") from None
     if backend.name != estimator:
         backend.close()
         raise ValueError(f"the server at {url} estimates with {backend.name}: give --estimator {backend.name}")

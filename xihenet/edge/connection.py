@@ -47,6 +47,10 @@ class TryAgain(Exception):
         self.wait_s = wait_s
 
 
+class NotTrusted(TryAgain):
+    """The server's certificate is not one that is trusted here. On a network that asks to log in this passes."""
+
+
 class PatientConnection:
     """To the service at `url`; ValueError for one that is none. Not safe between threads."""
 
@@ -66,12 +70,12 @@ class PatientConnection:
 
     def persist(self, attempt: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """What `attempt` gives, tried as often as patience allows; `NoAnswer` after that."""
-        wait_s = self.patience.first_wait_s
+        wait_s, last = self.patience.first_wait_s, None
         for left in reversed(range(self.patience.n_tries)):
             try:
                 answer = attempt()
             except TryAgain as again:
-                self.last_failure = str(again)
+                self.last_failure, last = str(again), again
                 if left:
                     self.n_retries += 1
                     time.sleep(min(max(wait_s, again.wait_s), self.patience.longest_wait_s))
@@ -83,7 +87,7 @@ class PatientConnection:
         now = time.monotonic()
         self.lost_since = self.lost_since or now
         self._rests_until = now + self.patience.rest_s
-        raise NoAnswer(f"{self.url} does not answer: {self.last_failure}")
+        raise NoAnswer(f"{self.url} does not answer: {self.last_failure}") from last
 
     def ask(self, method: str, path: str, body: bytes, headers: dict[str, str]) -> dict[str, Any]:
         """The JSON of an answer, tried once; `TryAgain` for what may pass, `EdgeRefused` for what will not."""
@@ -96,7 +100,8 @@ class PatientConnection:
             answer = json.loads(text)
         except (OSError, http.client.HTTPException, ValueError) as error:
             self.close()
-            raise TryAgain(f"{type(error).__name__}: {error}") from None
+            kind = NotTrusted if isinstance(error, ssl.SSLCertVerificationError) else TryAgain
+            raise kind(f"{type(error).__name__}: {error}") from None
         if status < 300 and isinstance(answer, dict):
             return answer
         said = str(answer.get("error", status)) if isinstance(answer, dict) else str(status)
