@@ -25,7 +25,7 @@ def parse_json(text: str) -> Any:
 def read_json(path: Path) -> Any:
     """What the file says. OSError if it cannot be read, ValueError that names it if it is no JSON."""
     try:
-        return parse_json(path.read_text(encoding="utf-8"))
+        return parse_json(path.read_text(encoding="utf-8-sig"))
     except ValueError as error:
         raise ValueError(f"{path}: expected JSON, and could not read it ({error})") from None
 

@@ -166,6 +166,21 @@ def test_colour_goes_with_the_depth_and_pose_next_to_it_in_time(tmp_path):
     assert any("2 frames without colour, depth or a pose" in note for note in capture.notes)
 
 
+TEXTUAL = [name for name in LAYOUTS if not name.startswith("Record3D")]
+
+
+@pytest.mark.parametrize("name", layouts(TEXTUAL))
+def test_text_may_begin_with_a_byte_order_mark_as_windows_writes_it(tmp_path, name):
+    write, intrinsics = LAYOUTS[name]
+    frames = walk(intrinsics, 2)
+    path = write(tmp_path / "recorded", frames)
+    texts = [one for one in path.rglob("*") if one.suffix in (".json", ".txt", ".csv")]
+    assert texts
+    for text in texts:
+        text.write_bytes(b"\xef\xbb\xbf" + text.read_bytes())
+    assert [frame.camera.world_from_camera.shape for frame in open_capture(path).frames] == [(4, 4)] * 2
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_quaternion_is_a_rotation_whatever_its_length(seed):
     quaternion = np.random.default_rng(seed).normal(size=4) * 3

@@ -167,7 +167,7 @@ def _bearer(path: Path | None) -> str:
     if path is None:
         return os.environ.get(BEARER_VARIABLE, "")
     try:
-        token = path.read_text(encoding="utf-8").strip()
+        token = path.read_text(encoding="utf-8-sig").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"--bearer: cannot read {path} ({error}): give a file with a token in it") from error
     if not token:

@@ -114,7 +114,7 @@ def _matrix(words: list[str], path: Path) -> ArrayF64 | None:
 
 def _words(path: Path, separator: str | None = None) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8").split(separator)
+        return path.read_text(encoding="utf-8-sig").split(separator)
     except UnicodeDecodeError:
         raise ValueError(f"{path}: expected numbers as text") from None
 

@@ -38,7 +38,7 @@ def read(folder: Path, up: str | None) -> Capture:
         try:
             rows = [
                 [float(text) for text in line.split()]
-                for line in path.read_text(encoding="utf-8").splitlines()
+                for line in path.read_text(encoding="utf-8-sig").splitlines()
                 if line.strip()
             ]
             camera = frame_camera(INTRINSICS, rows, is_opencv=True, up=up or "-y")

@@ -99,7 +99,7 @@ def _matrix(path: Path) -> ArrayF64:
 def _lines(path: Path) -> list[list[str]]:
     """Those that are not empty, split at commas. ValueError for what is no text."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             return [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: expected lines of numbers, and could not read it ({error})") from None

@@ -80,7 +80,7 @@ def _intrinsics(path: Path) -> tuple[Intrinsics, str]:
 
 def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:
     """Time and the other values of each line, by rising time."""
-    rows = [line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines()]
+    rows = [line.split() for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines()]
     rows = [row for row in rows if row and not row[0].startswith("#")]
     if not rows or any(len(row) != 1 + n_values for row in rows):
         raise ValueError(f"{path}: expected lines of a time and {n_values} more, and at least one of them")

@@ -100,7 +100,7 @@ def load_profile(name_or_path: str | Path) -> PhoneProfile:
             "or give the path of a .toml file"
         )
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: this is no TOML file ({error})") from None
     except RecursionError:
