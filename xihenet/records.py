@@ -25,6 +25,8 @@ ArrayU8 = NDArray[np.uint8]
 ArrayBool = NDArray[np.bool_]
 ArrayInt = NDArray[np.intp]
 
+LAST_ROW_TOLERANCE = 1e-3  # Of a pose, as poses are written with four digits
+
 TriggerReason = Literal["first", "colour", "coverage", "light", "moved", "none"]
 
 
@@ -84,7 +86,7 @@ class RgbdFrame:
     plane_depth_m : (H, W) float32, metres along the optical axis; 0 or infinite where the sensor has none, which makes
         the pixel light from far away, and NaN where the pixel's colour is not to be used either
     intrinsics : of both images
-    world_from_camera : (4, 4) float64
+    world_from_camera : (4, 4) float64, row by row: its last row is 0 0 0 1, the last column says where the camera is
     exposure : factor that was applied to linear radiance before clipping and encoding, positive
     ambient : (3,) linear scene radiance that the ambient light sensor reports, or None without a sensor
     time_s : seconds since the start of the session
@@ -113,6 +115,11 @@ class RgbdFrame:
         _keep(self, np.float64, world_from_camera=(4, 4))
         if not np.isfinite(self.world_from_camera).all():
             raise ValueError("RgbdFrame.world_from_camera: expected finite numbers, got NaN or infinity")
+        last_row = self.world_from_camera[3]
+        if np.abs(last_row - [0, 0, 0, 1]).max() > LAST_ROW_TOLERANCE:
+            raise ValueError(
+                f"RgbdFrame.world_from_camera: expected the last row 0 0 0 1, got {last_row.tolist()}: transpose it?"
+            )
         if not (np.isfinite(self.exposure) and self.exposure > 0):
             raise ValueError(f"RgbdFrame.exposure: expected a positive factor, got {self.exposure}")
         object.__setattr__(self, "exposure", float(self.exposure))

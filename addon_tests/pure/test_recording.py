@@ -23,7 +23,7 @@ def random_frame(seed, ambient=None):
         colours,
         depths,
         intrinsics,
-        rng.normal(size=(4, 4)),
+        np.vstack([rng.normal(size=(3, 4)), [0, 0, 0, 1]]),
         0.3,
         ambient,
         1.5,

@@ -35,6 +35,7 @@ def test_arrays_become_read_only_views_and_the_callers_stay_writable():
         ({"plane_depth_m": np.full((3, 4), 1500)}, "expected metres"),
         ({"world_from_camera": np.eye(3)}, "world_from_camera"),
         ({"world_from_camera": np.full((4, 4), np.nan)}, "finite"),
+        ({"world_from_camera": np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [2, 1, 3, 1]])}, "transpose it"),
         ({"exposure": 0.0}, "exposure"),
         ({"exposure": np.nan}, "exposure"),
         ({"ambient": [1.0, 2.0]}, "ambient"),
