@@ -44,7 +44,7 @@ public class XiheLight : MonoBehaviour
         Entry found = null;
         foreach (var entry in JsonUtility.FromJson<Export>(exported.text).lights)
         {
-            var isOwn = objectName == "" || entry.@object == objectName;
+            var isOwn = string.IsNullOrEmpty(objectName) || entry.@object == objectName;
             if (isOwn && (found == null || entry.frame <= frame)) found = entry;
         }
         if (found == null) return;
@@ -64,9 +64,15 @@ public class XiheLight : MonoBehaviour
         mainLight.enabled = main != null && main.direction != null && main.direction.Length == 3;
         if (!mainLight.enabled) return;
         mainLight.type = LightType.Directional;
-        // Colours in the file are linear; Light.color is encoded as sRGB.
-        mainLight.color = new Color(main.color[0], main.color[1], main.color[2]).gamma;
-        mainLight.intensity = main.intensity;
+        mainLight.useColorTemperature = false;
+        // Colours in the file are linear; Light.color is encoded as sRGB. The built-in pipeline encodes the intensity
+        // too, unless the project says otherwise: it decodes the product of both.
+        var linear = new Color(main.color[0], main.color[1], main.color[2]);
+        var isLinear = GraphicsSettings.lightsUseLinearIntensity;
+        var encoded = isLinear ? linear.gamma : (linear * main.intensity).gamma;
+        var brightest = isLinear ? 1f : Mathf.Max(encoded.maxColorComponent, 1e-6f);
+        mainLight.color = encoded / brightest;
+        mainLight.intensity = isLinear ? main.intensity : brightest;
         mainLight.transform.rotation =
             Quaternion.LookRotation(new Vector3(main.direction[0], main.direction[1], main.direction[2]));
     }

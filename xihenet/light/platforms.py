@@ -110,7 +110,8 @@ _UNITY = Convention(
     by_colour=True,
     direction="along its travel",
     main_scale=1 / np.pi,
-    main_unit="that of a Light in the built-in and universal pipelines; times pi, lux in the high definition pipeline",
+    main_unit="that of a Light whose intensity is linear, see GraphicsSettings.lightsUseLinearIntensity; times pi, lux "
+    "in the high definition pipeline",
 )
 _ARKIT = replace(
     _RIGHT,
