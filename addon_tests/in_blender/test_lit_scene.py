@@ -340,11 +340,16 @@ def test_pictures_that_are_gone_are_named(ran, tmp_path):
 
 def test_the_buttons_go_there_and_back(ran):
     with registered_addon():
-        opened(ran.out / "after.blend").xihe.run_folder = str(ran.out)
+        scene = opened(ran.out / "after.blend")
+        scene.xihe.run_folder = str(ran.out)
+        shown = scene.view_layers.new("Second")
+        if bpy.context.window is not None:
+            bpy.context.window.view_layer = shown
         assert "This is the room" in poll_message(bpy.ops.xihe.show_room)
         assert bpy.ops.xihe.show_lit() == {"FINISHED"}
         if bpy.context.window is not None:
             assert bpy.context.scene == lit_scene()
             assert "go back to the room" in poll_message(bpy.ops.xihe.run)
             assert bpy.ops.xihe.show_room() == {"FINISHED"}
+            assert bpy.context.window.view_layer == shown
         assert bpy.context.scene.name == "Scene"

@@ -15,6 +15,9 @@ from xihe_blender.apply.datablocks import ROOM
 VIEW_BEFORE = "xihe_view"
 """Custom property of the lit scene: how the 3D view was shaded, from where it looked, and the lines it showed."""
 
+LAYER_BEFORE = "xihe_view_layer"
+"""Custom property of the lit scene: the view layer of the room that the window showed."""
+
 FLOOR = ("show_floor", "show_axis_x", "show_axis_y")
 """Lines that would lie over the captured frame, which is itself an overlay."""
 
@@ -77,6 +80,7 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
         room.frame_set(lit.frame_current)
         if context.window is not None:
             context.window.scene = room
+            context.window.view_layer = room.view_layers.get(lit.get(LAYER_BEFORE, ""), context.window.view_layer)
         if VIEW_BEFORE in lit and context.area.type == "VIEW_3D" and context.area.as_pointer() not in _views:
             _put_back(context.area, lit[VIEW_BEFORE])
         _put_views_back()
@@ -85,6 +89,7 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
 
 def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
     """Show `lit` in the window, and rendered through its camera in the 3D view that asked."""
+    lit[LAYER_BEFORE] = context.window.view_layer.name
     context.window.scene = lit
     context.window.view_layer = next(layer for layer in lit.view_layers if layer.world_override == lit.world)
     if context.area is not None and context.area.type == "VIEW_3D":
