@@ -16,7 +16,7 @@ import numpy as np
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
 from xihenet.camera import encode_exposed
-from xihenet.png import write_png
+from xihenet.io.png import write_png
 
 GAP_PX = 4
 

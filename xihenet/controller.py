@@ -24,12 +24,12 @@ from xihenet.camera import in_view, unproject_frame
 from xihenet.codec import EncodingMethod, encode_cloud, n_clamped_distances
 from xihenet.estimators.base import EstimateContext
 from xihenet.invalid import Counts, counted
+from xihenet.io.recording import SessionRecorder
 from xihenet.light import BetweenEstimates
 from xihenet.light.carried_light import CarriedLight
 from xihenet.light.key_light import split_light
 from xihenet.light.reflections import N_DIRECTIONS, N_NEIGHBOURS, thinned
 from xihenet.light_change import LightFollowing, follow_coarser, follow_light
-from xihenet.recording import SessionRecorder
 from xihenet.records import (
     ArrayF64,
     Intrinsics,

@@ -32,8 +32,8 @@ from xihe_blender.scene import estimation_positions
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.camera import unproject_frame
+from xihenet.io.recording import load_frame
 from xihenet.metrics import image_rmse
-from xihenet.recording import load_frame
 from xihenet.records import ObjectLight
 
 LENGTH_M = 2.2

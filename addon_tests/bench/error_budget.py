@@ -71,7 +71,7 @@ from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
-from xihenet.recording import load_frame
+from xihenet.io.recording import load_frame
 from xihenet.records import RgbdFrame
 from xihenet.satin_ball import satin_factors
 from xihenet.sh_basis import basis, per_coefficient

@@ -48,8 +48,8 @@ from xihe_blender.scene.estimation_positions import world_box_corners
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.io.recording import load_frame
 from xihenet.metrics import image_rmse
-from xihenet.recording import load_frame
 from xihenet.records import ArrayBool, ArrayF64, ObjectLight
 
 PLACE = "placement_0"

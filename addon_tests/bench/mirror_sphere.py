@@ -26,10 +26,10 @@ from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.json_records import from_json
 from xihe_blender.previs.settings import PrevisSettings
 from xihenet import estimators
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
+from xihenet.io.recording import load_frame
 from xihenet.metrics import shc_rmse
 from xihenet.mirror_sphere import mirror_sphere_cloud
-from xihenet.recording import load_frame
 from xihenet.records import ObjectLight
 from xihenet.sphere import AnchorLattice
 

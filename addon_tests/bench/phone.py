@@ -31,9 +31,9 @@ from xihenet import estimators
 from xihenet.buffers import merge_in_sight
 from xihenet.camera import sensed_ambient, unproject_frame
 from xihenet.colour import srgb_to_linear
+from xihenet.io.npz_files import read_npz
 from xihenet.metering import metered_exposure
 from xihenet.metrics import shc_rmse
-from xihenet.npz_files import read_npz
 from xihenet.phone import (
     LINKS,
     CameraMotion,

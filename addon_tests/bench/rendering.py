@@ -28,7 +28,7 @@ from xihe_blender.scene.blend_file import open_blend
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import XiheController
-from xihenet.recording import save_frame
+from xihenet.io.recording import save_frame
 
 SCENE = Path(__file__).resolve().parents[2] / "blend_scenes" / "living_room.blend"
 

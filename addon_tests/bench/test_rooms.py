@@ -23,8 +23,8 @@ from xihenet import estimators
 from xihenet.buffers import merge_in_sight
 from xihenet.camera import unproject_frame
 from xihenet.estimators import EstimateContext
+from xihenet.io.npz_files import read_npz
 from xihenet.metrics import shc_rmse
-from xihenet.npz_files import read_npz
 from xihenet.records import UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice

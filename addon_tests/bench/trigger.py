@@ -23,8 +23,8 @@ from xihe_blender.previs.settings import PREVIS_TRIGGER
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
+from xihenet.io.recording import load_frame
 from xihenet.metrics import shc_rmse
-from xihenet.recording import load_frame
 from xihenet.records import RgbdFrame, StepReport
 from xihenet.trigger import TriggerSettings
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.npz_files import read_npz
+from xihenet.io.npz_files import read_npz
 from xihenet.training.rooms import TRAINING_ONLY, room_files, room_seed, split_of
 
 

@@ -45,7 +45,7 @@ from xihenet.camera import project_points, unproject_frame
 from xihenet.captures import open_capture
 from xihenet.captures.checks import steadied
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.recording import SessionFacts, SessionRecorder
+from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import Intrinsics
 from xihenet.replay import REPLAY_TRIGGER, never_in_view, replay
 from xihenet.scan import Scan, ScanSettings

@@ -27,7 +27,7 @@ from xihe_blender.lab.frontier.report import pareto_plot
 from xihe_blender.lab.frontier.study import frontier, kept_preparation, kept_truths, survey_scene
 from xihe_blender.previs.settings import PRESETS
 from xihe_blender.scene.blend_file import open_blend
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 from xihenet.pareto import on_front
 
 TINY = StudySize(2, 1, 1, 2, 1, 2, 4, (1, 2), 1)

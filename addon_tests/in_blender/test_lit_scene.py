@@ -23,7 +23,7 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.virtual_objects import virtual_collection
-from xihenet.frame_files import FrameCamera
+from xihenet.io.frame_files import FrameCamera
 from xihenet.light.key_light import rest_of
 from xihenet.records import Intrinsics
 

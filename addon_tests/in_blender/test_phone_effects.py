@@ -37,8 +37,8 @@ from xihe_blender.previs.settings import load_estimators
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.effects import effects_as_json
+from xihenet.io.recording import load_frame
 from xihenet.phone import PHONE_EFFECTS
-from xihenet.recording import load_frame
 
 SESSION = replace(SMALL, phone="ipad_pro_lidar", network="lte")
 

@@ -20,8 +20,8 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.captures import open_capture
 from xihenet.captures.writing import WRITERS
+from xihenet.io.recording import load_frame
 from xihenet.light.light_picture import sphere_mask
-from xihenet.recording import load_frame
 from xihenet.replay import never_in_view, replay
 
 

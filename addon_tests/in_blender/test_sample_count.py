@@ -31,7 +31,7 @@ from xihe_blender.previs.sample_count import (
 from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
 from xihe_blender.previs.survey import survey_path
 from xihenet.camera import unproject_frame
-from xihenet.recording import load_frame
+from xihenet.io.recording import load_frame
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice

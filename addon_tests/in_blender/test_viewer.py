@@ -24,8 +24,8 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.viewer.gltf import viewed_objects
+from xihenet.io.recording import load_frame
 from xihenet.light.platforms import Y_UP, coefficients_for, convention_of
-from xihenet.recording import load_frame
 
 
 @pytest.fixture(scope="module")

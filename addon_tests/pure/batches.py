@@ -16,7 +16,7 @@ from xihe_blender.lab.batch.results import (
     worst_picture,
 )
 from xihe_blender.lab.frontier.records import Frontier, FrontierSettings
-from xihenet.png import write_png
+from xihenet.io.png import write_png
 
 FACTORS = (0.0, 0.25, 1.0, 4.0)
 HALF = dict.fromkeys(METRICS, 0.5)

@@ -25,8 +25,8 @@ from addon_tests.pure.recordings import (
     as_tum,
     walk,
 )
-from xihenet.exr import exr_attributes, read_exr, write_exr
-from xihenet.recording import SessionRecorder
+from xihenet.io.exr import exr_attributes, read_exr, write_exr
+from xihenet.io.recording import SessionRecorder
 from xihenet.records import Intrinsics
 
 READ, NOTE = "read", "note: "

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from xihenet import exr
+from xihenet.io import exr
 from xihenet.records import Intrinsics
 
 WIDTH, HEIGHT = 32, 24

@@ -25,9 +25,9 @@ from xihenet.codec import METHODS, encode_cloud
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
 from xihenet.estimators.weights_format import save_weights
-from xihenet.frame_files import read_camera, read_frame
+from xihenet.io.frame_files import read_camera, read_frame
+from xihenet.io.recording import load_frame, save_frame
 from xihenet.phone.profile import PROFILES_FOLDER, load_profile
-from xihenet.recording import load_frame, save_frame
 from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
 
 Reader = Callable[[bytes], object]

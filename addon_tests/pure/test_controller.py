@@ -12,7 +12,7 @@ from xihenet.buffers import merge
 from xihenet.camera import unproject_frame
 from xihenet.codec import encode_cloud
 from xihenet.controller import MOVED_M, ControllerSettings, XiheController
-from xihenet.recording import ReplayScanner
+from xihenet.io.recording import ReplayScanner
 from xihenet.records import Intrinsics
 from xihenet.sampling import sample_unit_sphere
 from xihenet.trigger import TriggerSettings

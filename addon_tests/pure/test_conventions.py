@@ -11,7 +11,7 @@ from addon_tests.pure.recordings import looking
 from xihenet.camera import ray_distance_from_plane_depth
 from xihenet.captures.conventions import fits, suspect
 from xihenet.captures.self_fit import AS_READ
-from xihenet.frame_files import BLENDER_FROM_OPENCV_CAMERA, BLENDER_FROM_UP
+from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA, BLENDER_FROM_UP
 
 
 def transposed(pose):

@@ -13,9 +13,9 @@ from xihe_blender.cli.main import main
 from xihenet import __version__, estimators, sh
 from xihenet.camera import encode_exposed, unproject_frame
 from xihenet.estimators.projection import Projection
-from xihenet.frame_files import read_camera, read_frame
+from xihenet.io.frame_files import read_camera, read_frame
+from xihenet.io.png import encode_png
 from xihenet.light.light_picture import light_picture
-from xihenet.png import encode_png
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 

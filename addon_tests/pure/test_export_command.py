@@ -10,7 +10,7 @@ import pytest
 from addon_tests.pure.runs import content, frame, probe
 from addon_tests.pure.test_estimate_command import ROOT, WITHOUT_BLENDER, read_strictly
 from xihe_blender.cli.main import main
-from xihenet.exr import write_exr
+from xihenet.io.exr import write_exr
 from xihenet.light.environments import (
     disc_picture,
     encode_hdr,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.frame_makers import NEEDS_OPENEXR
-from xihenet import exr
-from xihenet.exr import OtherExr, exr_attributes, exr_sizes, read_exr, read_stored_exr, write_exr
-from xihenet.picture_size import picked_pixels
+from xihenet.io import exr
+from xihenet.io.exr import OtherExr, exr_attributes, exr_sizes, read_exr, read_stored_exr, write_exr
+from xihenet.io.picture_size import picked_pixels
 
 KINDS = (np.float32, np.float16, np.uint32)
 LONG_NAME = "A view layer with a name longer than short names may be.Combined.R"

@@ -27,11 +27,11 @@ from addon_tests.pure.frame_makers import (
     write_image,
 )
 from addon_tests.pure.made import pose_of, random_rotation
-from xihenet import frame_files, image_files, openexr_package
 from xihenet.camera import encode_exposed, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.frame_files import read_camera, read_frame
-from xihenet.image_files import area_averaged
+from xihenet.io import frame_files, image_files, openexr_package
+from xihenet.io.frame_files import read_camera, read_frame
+from xihenet.io.image_files import area_averaged
 from xihenet.metering import KEY_LUMINANCE, LUMINANCE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -309,7 +309,7 @@ def test_without_pillow_the_extra_to_install_is_named(tmp_path):
     camera = write_camera(tmp_path / "camera.json")
     code = (
         "import sys; sys.modules['PIL'] = None\n"
-        "from pathlib import Path; from xihenet.frame_files import read_camera, read_frame\n"
+        "from pathlib import Path; from xihenet.io.frame_files import read_camera, read_frame\n"
         f"colour = Path({str(tmp_path / 'colour.png')!r})\n"
         f"try: read_frame(colour, read_camera(Path({str(camera)!r})), plane_depth=colour)\n"
         "except ImportError as error: print(error)"
@@ -378,7 +378,7 @@ def test_a_photo_of_24_megapixels_takes_little_memory(tmp_path):
     write_image(tmp_path / "plane_depth.png", MILLIMETRES)
     Image.new("RGB", (5664, 4248), (90, 90, 90)).save(tmp_path / "photo.png", compress_level=1)
     code = (
-        "from pathlib import Path; from xihenet.frame_files import read_camera, read_frame\n"
+        "from pathlib import Path; from xihenet.io.frame_files import read_camera, read_frame\n"
         f"folder = Path({str(tmp_path)!r})\n"
         "read = lambda name: read_frame(folder / name, camera, plane_depth=folder / 'plane_depth.png')\n"
         f"camera = read_camera(Path({str(camera)!r}))\n"

@@ -16,10 +16,10 @@ from xihenet.camera import invalid_pixels, sound_plane_depth, unproject_frame, v
 from xihenet.codec import METHODS, decode_cloud, encode_cloud, n_clamped_distances
 from xihenet.controller import XiheController
 from xihenet.estimators import EstimateContext, Estimator
-from xihenet.exr import exr_attributes, read_exr, write_exr
 from xihenet.invalid import CLAMPED, LEFT_OUT, UNKNOWN, added, counted, format_reason, left_out
+from xihenet.io.exr import exr_attributes, read_exr, write_exr
+from xihenet.io.recording import load_frame, save_frame
 from xihenet.phone import PhoneCamera, load_profile
-from xihenet.recording import load_frame, save_frame
 from xihenet.records import Intrinsics, LightEstimate, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
 from xihenet.sphere import AnchorLattice

@@ -15,7 +15,7 @@ from xihe_blender.io.kept_files import kept_json, kept_or_made
 from xihe_blender.io.run_results import RunResults
 from xihe_blender.lab.batch.results import batch_schema
 from xihe_blender.lab.frontier.records import Frontier
-from xihenet.json_files import parse_json, read_json
+from xihenet.io.json_files import parse_json, read_json
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ from xihenet.estimators.lattice_network import LatticeNetwork
 from xihenet.estimators.projection import Projection
 from xihenet.estimators.ring_grid import ring_grid, turns_of_light
 from xihenet.estimators.weights_format import save_weights
-from xihenet.npz_files import read_npz
+from xihenet.io.npz_files import read_npz
 from xihenet.records import FAR_M, AnchorSurfaces, UnitSphereCloud
 from xihenet.sh_basis import basis
 

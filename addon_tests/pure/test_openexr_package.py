@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.frame_makers import write_by_package
-from xihenet.frame_files import read_exr_channels
-from xihenet.openexr_package import is_installed, read_by_package
+from xihenet.io.frame_files import read_exr_channels
+from xihenet.io.openexr_package import is_installed, read_by_package
 
 pytestmark = pytest.mark.wheel_only("the OpenEXR package, which writes these files, crashes beside Blender's own")
 NAMES = ("ViewLayer.Combined.R", "a/b, ü.Z", "names")

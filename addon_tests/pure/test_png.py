@@ -5,7 +5,7 @@ import zlib
 import numpy as np
 import pytest
 
-from xihenet.png import SIGNATURE, encode_png, write_png
+from xihenet.io.png import SIGNATURE, encode_png, write_png
 
 
 def decode_png(content):

@@ -7,7 +7,7 @@ import pytest
 
 from addon_tests.pure.frame_makers import NEEDS_OPENEXR
 from xihenet.colour import srgb_to_linear
-from xihenet.recording import ReplayScanner, SessionRecorder, load_frame, save_frame
+from xihenet.io.recording import ReplayScanner, SessionRecorder, load_frame, save_frame
 from xihenet.records import Intrinsics, RgbdFrame
 
 

@@ -19,7 +19,7 @@ from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.report.pictures import MAX_FRAMES
 from xihenet.formats import format_number, format_runs
-from xihenet.png import write_png
+from xihenet.io.png import write_png
 
 VOID = {"meta", "img", "input", "wbr"}
 METHODS = ("projection", "ambient", "truth")

@@ -11,7 +11,7 @@ from addon_tests.pure.test_estimate_command import read_strictly
 from addon_tests.pure.test_long_captures import measured
 from xihe_blender.cli.main import main
 from xihenet.captures import open_capture
-from xihenet.recording import SessionFacts, SessionRecorder
+from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import Intrinsics
 from xihenet.trigger import TriggerSettings
 

@@ -32,7 +32,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import Parameters, as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json, written_whole
 from xihe_blender.jobs import Job, Progress
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 
 COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")

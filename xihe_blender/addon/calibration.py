@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from xihe_blender.addon.preferences import chosen_folder, own_folder
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 
 FILE_NAME = "calibration.json"
 

@@ -48,11 +48,11 @@ from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene, reflected_of
 from xihe_blender.previs.results import last_surfaces
 from xihe_blender.scene.virtual_objects import virtual_objects
-from xihenet.frame_files import FrameCamera
+from xihenet.io.frame_files import FrameCamera
+from xihenet.io.recording import read_header
 from xihenet.kept_walk import FoundLight
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
-from xihenet.recording import read_header
 from xihenet.records import ArrayF64, ObjectLight
 
 ERROR_CURVE, COVERAGE_CURVE, EXPECTED_CURVE = "Xihe SHC RMSE", "Xihe coverage", "Xihe expected error"

@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Matrix
 
 from xihe_blender.apply.sh_worlds import f_curves
-from xihenet.frame_files import FrameCamera
+from xihenet.io.frame_files import FrameCamera
 from xihenet.records import ArrayF64, Intrinsics
 
 SENSOR_MM = 36.0

@@ -28,7 +28,7 @@ from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 
 if TYPE_CHECKING:
-    from xihenet.frame_files import FrameCamera
+    from xihenet.io.frame_files import FrameCamera
 
 PHONE = "Xihe Phone"
 """Begins the names of the copied cameras."""

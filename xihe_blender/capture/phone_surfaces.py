@@ -20,7 +20,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.io.outputs import written_whole
-from xihenet.npz_files import read_npz
+from xihenet.io.npz_files import read_npz
 from xihenet.phone import SurfaceFacts
 from xihenet.records import ArrayF32
 

@@ -26,7 +26,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.scene.state import WORKING, users_name
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart
-from xihenet.exr import read_exr
+from xihenet.io.exr import read_exr
 from xihenet.records import ArrayF32
 
 MEMORY_FOLDER = Path("/dev/shm")

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 from xihenet import estimators
-from xihenet.frame_files import BLENDER_FROM_UP
+from xihenet.io.frame_files import BLENDER_FROM_UP
 from xihenet.phone import LINKS, profile_names
 
 MAX_FRAME = 1048574

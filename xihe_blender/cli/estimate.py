@@ -23,11 +23,11 @@ from xihenet import __version__, estimators
 from xihenet.backend import LocalBackend, estimate_light
 from xihenet.camera import in_view, invalid_pixels, project_points, unproject_frame
 from xihenet.estimators import EstimateContext, Estimator
-from xihenet.frame_files import FrameCamera, off_centre, read_camera, read_frame
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
+from xihenet.io.frame_files import FrameCamera, off_centre, read_camera, read_frame
+from xihenet.io.picture_size import MOST_PIXELS
+from xihenet.io.png import write_png
 from xihenet.light.light_picture import light_picture
-from xihenet.picture_size import MOST_PIXELS
-from xihenet.png import write_png
 from xihenet.records import ArrayF64, LightEstimate, PointCloud, RgbdFrame
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import dering_for_display

@@ -25,11 +25,11 @@ from xihenet.captures.drift import Drift
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator
 from xihenet.invalid import added, format_reason, left_out, n_left_out
+from xihenet.io.png import encode_png, write_png
 from xihenet.light import BetweenEstimates
 from xihenet.light.exports import NamedLight
 from xihenet.light.light_picture import light_picture, seen_picture
 from xihenet.light.platforms import PLATFORMS
-from xihenet.png import encode_png, write_png
 from xihenet.records import ArrayF64, UnitSphereCloud
 from xihenet.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.session_score import EstimatorScore, score_places, score_session

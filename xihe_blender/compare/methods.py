@@ -68,10 +68,10 @@ from xihe_blender.io.run_results import Metrics
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart, part_around, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.io.npz_files import read_npz
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import light_of_rough, reflection_panorama
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
-from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
 from xihenet.surfaces import Surface
 

@@ -18,7 +18,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.path_results import PathResults
 from xihenet.formats import format_percent
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 
 LEAST_HELP = 0.05
 """Of an object's error: a part that would take off less is not recommended."""

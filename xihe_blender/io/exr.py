@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.io.outputs import written_whole
-from xihenet.exr import read_exr, write_exr
+from xihenet.io.exr import read_exr, write_exr
 from xihenet.records import ArrayF32
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 
 WORK = "work"  # the kind of work, where several keep a file of the same name; missing in files of before
 NOT_COMPARED = "software"  # written down for the reader alone

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from xihe_blender.io.json_records import Json
 from xihe_blender.io.outputs import write_json
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 
 Kept = TypeVar("Kept")
 

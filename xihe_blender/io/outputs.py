@@ -170,7 +170,7 @@ def copy_whole(source: Path, target: Path) -> None:
 
 def write_picture(path: Path, picture: ArrayF32 | ArrayF64 | ArrayU8) -> None:
     """Write (H, W, 3) uint8, or floats in [0, 1], as sRGB, whole or not at all."""
-    from xihenet.png import write_png
+    from xihenet.io.png import write_png
 
     pixels = picture if picture.dtype == "uint8" else (picture * 255).round().astype("uint8")
     with written_whole(path) as beside:

@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import ABSENT, INLINE, Parameters, Plain, from_json, json_schema
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 from xihenet.light import BetweenEstimates, LightParts
 
 SCHEMA_VERSION: Literal[1] = 1

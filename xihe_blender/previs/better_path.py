@@ -38,9 +38,9 @@ from xihenet.buffers import merge
 from xihenet.camera import unproject_frame
 from xihenet.completeness import coverage
 from xihenet.estimators import Estimator
+from xihenet.io.recording import load_frame, save_frame
 from xihenet.looks import Look, LookSettings, looks_of, random_looks
 from xihenet.metrics import shc_rmse
-from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice

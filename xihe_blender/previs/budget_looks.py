@@ -20,8 +20,8 @@ from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
-from xihenet.json_files import read_json
-from xihenet.recording import load_frame, save_frame
+from xihenet.io.json_files import read_json
+from xihenet.io.recording import load_frame, save_frame
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 from xihenet.satin_ball import SatinBall
 

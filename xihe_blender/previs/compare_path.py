@@ -26,9 +26,9 @@ from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results import as_surface_result
 from xihe_blender.previs.run_chain import Lights, WalkedPath
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
+from xihenet.io.recording import load_frame
 from xihenet.placement import evenly_chosen
-from xihenet.recording import load_frame
 from xihenet.surfaces import Surface
 
 MOST_SEEN = 12

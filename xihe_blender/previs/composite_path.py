@@ -18,7 +18,7 @@ from xihe_blender.previs.compare_path import surfaces_known
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
 from xihe_blender.scene.phone_capture import scan_of
-from xihenet.recording import load_frame
+from xihenet.io.recording import load_frame
 
 
 def composite_path(run: PreparedRun, walked: WalkedPath) -> Job[dict[int, dict[str, str]]]:

@@ -18,10 +18,10 @@ from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.camera import unproject_frame
+from xihenet.io.recording import SessionFacts, load_frame
 from xihenet.kept_walk import FoundLight, KeptWalk, SeenFrame
 from xihenet.light_change import LightFollowing
 from xihenet.other_cores import find_light_on_all_cores
-from xihenet.recording import SessionFacts, load_frame
 from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
 

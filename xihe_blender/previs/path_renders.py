@@ -27,11 +27,11 @@ from xihe_blender.jobs import Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihenet.colour import linear_to_srgb
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
+from xihenet.io.recording import load_frame, save_frame
 from xihenet.light.reflections import rendered_reflections
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions, solid_angles
-from xihenet.recording import load_frame, save_frame
 from xihenet.records import Reflections, RgbdFrame, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 

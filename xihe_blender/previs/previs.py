@@ -33,7 +33,7 @@ from xihe_blender.previs.settings import PrevisSettings, close_backends, load_es
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
 from xihenet.estimators.weights_format import weights_sha256
-from xihenet.recording import write_session
+from xihenet.io.recording import write_session
 
 
 def previs(

@@ -36,7 +36,7 @@ from xihenet.captures.writing import WRITERS
 from xihenet.captures.writing.pictures import Form
 from xihenet.colour import linear_to_srgb
 from xihenet.formats import format_count
-from xihenet.recording import SESSION_FILE, load_frame, save_frame, write_session
+from xihenet.io.recording import SESSION_FILE, load_frame, save_frame, write_session
 from xihenet.records import RgbdFrame
 
 WORK = "a recording"

@@ -37,7 +37,7 @@ from xihenet.camera import in_view
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.effects import plan_effects
 from xihenet.estimators import Estimator
-from xihenet.recording import save_frame
+from xihenet.io.recording import save_frame
 from xihenet.replay import REPLAY_TRIGGER
 
 MOVED_M, TURNED = 0.01, 0.02

@@ -30,11 +30,11 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.report.values import mean
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
+from xihenet.io.recording import load_frame, save_frame
 from xihenet.light.key_light import mean_light, split_light, with_positions
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import NETWORK, Link, Request
 from xihenet.phone_session import PhoneSession
-from xihenet.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, RgbdFrame, StepReport
 
 NOT_REPEATED = "frame_rate"

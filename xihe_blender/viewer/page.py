@@ -25,10 +25,10 @@ from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.report.document import png_url
 from xihe_blender.report.values import escape
 from xihenet.formats import format_number, format_percent
+from xihenet.io.png import encode_png
+from xihenet.io.recording import load_frame
 from xihenet.light.environments import encode_hdr, laid_out
 from xihenet.light.platforms import PLATFORMS, Y_UP, coefficients_for, convention_of, main_light_for, soft_light
-from xihenet.png import encode_png
-from xihenet.recording import load_frame
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame
 
 _HERE = Path(__file__).parent

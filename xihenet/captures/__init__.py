@@ -9,7 +9,7 @@ from pathlib import Path
 from xihenet.captures import nerfstudio, plain, polycam, record3d, seven_scenes, stray, tum, xihe_session
 from xihenet.captures.by_hand import set_by_hand
 from xihenet.captures.capture import Capture, n_frames
-from xihenet.frame_files import off_centre
+from xihenet.io.frame_files import off_centre
 
 READERS: dict[str, tuple[Callable[[Path], bool], Callable[[Path, str | None], Capture]]] = {
     "Xihe session": (xihe_session.is_in, xihe_session.read),

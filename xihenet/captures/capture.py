@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from xihenet.frame_files import FrameCamera, read_frame
+from xihenet.io.frame_files import FrameCamera, read_frame
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.trigger import TriggerSettings
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
-from xihenet.frame_files import FrameCamera
+from xihenet.io.frame_files import FrameCamera
 from xihenet.records import ArrayBool, ArrayF64, RgbdFrame
 
 N_FRAMES, POINTS_PER_FRAME = 12, 3000

@@ -11,8 +11,8 @@ from typing import Any
 
 from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
 from xihenet.captures.values import number_in, side_in
-from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
-from xihenet.json_files import read_json
+from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.io.json_files import read_json
 from xihenet.records import Intrinsics
 
 FILE = "transforms.json"

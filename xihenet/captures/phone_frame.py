@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.camera import sensed_ambient, sound_plane_depth, valid_plane_depth
-from xihenet.frame_files import FrameCamera, intrinsics_for
-from xihenet.image_files import read_colour, read_grey, read_plane_depth, shrunk_colour
 from xihenet.invalid import counted
-from xihenet.picture_size import MOST_POINTS, check_size, picked_pixels
+from xihenet.io.frame_files import FrameCamera, intrinsics_for
+from xihenet.io.image_files import read_colour, read_grey, read_plane_depth, shrunk_colour
+from xihenet.io.picture_size import MOST_POINTS, check_size, picked_pixels
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, RgbdFrame
 
 HIGH, LARGEST_LEVEL = 170, 2  # Apps that store bytes have 0, something in between, and 255

@@ -1,6 +1,6 @@
 """A folder that anyone can fill: camera.json, colour/ and depth/ with files of equal names, and poses.
 
-camera.json   width, height, fx, fy, cx, cy; if need be `convention` and `up`, as `xihenet.frame_files.read_camera`
+camera.json   width, height, fx, fy, cx, cy; if need be `convention` and `up`, as `xihenet.io.frame_files.read_camera`
               has them; `metres_per_unit` of depth, by default 0.001, and `frames_per_second`, by default 30
 colour/       images of 8 bits, in the order of their names, numbers in names by their value
 depth/        grey images of 16 bits, 0 and 65535 where there is none; confidence/, if there is one, as 0, 1 and 2
@@ -23,8 +23,8 @@ import numpy as np
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
 from xihenet.captures.phone_frame import phone_frame, read_measured
 from xihenet.captures.values import FARTHEST_M, number_in, numbers, pose_numbers, pose_of, times_go_back
-from xihenet.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, FrameCamera, camera_facts, frame_camera
-from xihenet.json_files import read_json
+from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, FrameCamera, camera_facts, frame_camera
+from xihenet.io.json_files import read_json
 from xihenet.records import ArrayF64, RgbdFrame
 
 FILE, LINES = "camera.json", "poses.txt"

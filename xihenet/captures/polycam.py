@@ -16,8 +16,8 @@ import numpy as np
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
 from xihenet.captures.phone_frame import phone_frame, read_measured
 from xihenet.captures.values import FARTHEST_M, number_in, side_in
-from xihenet.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
-from xihenet.json_files import read_json
+from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
+from xihenet.io.json_files import read_json
 from xihenet.records import Intrinsics, RgbdFrame
 
 METRES_PER_UNIT, SECONDS_PER_UNIT = 1e-3, 1e-6

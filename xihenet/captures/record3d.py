@@ -23,9 +23,9 @@ from xihenet.captures.floor import upright
 from xihenet.captures.lzfse_files import unpack_lzfse
 from xihenet.captures.phone_frame import confidence_levels, measured, phone_frame
 from xihenet.captures.values import intrinsics_of, number_in, numbers, pose_numbers, pose_of, side_in, times_go_back
-from xihenet.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
-from xihenet.json_files import parse_json
-from xihenet.picture_size import MOST_PIXELS, same_field
+from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
+from xihenet.io.json_files import parse_json
+from xihenet.io.picture_size import MOST_PIXELS, same_field
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
 METADATA, SUFFIX = "metadata", ".r3d"

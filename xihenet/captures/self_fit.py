@@ -14,7 +14,7 @@ import numpy as np
 
 from xihenet.camera import pixel_rays
 from xihenet.captures.seen_again import away_from_edges, pixels_of_points, thinned
-from xihenet.frame_files import BLENDER_FROM_OPENCV_CAMERA
+from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
 
 MOST_FRAMES = 24  # Of the recording, evenly over it: 276 pairs tell more than enough

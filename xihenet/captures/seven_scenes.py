@@ -13,7 +13,7 @@ from pathlib import Path
 
 from xihenet.captures.capture import Capture, n_frames, picture_frame
 from xihenet.captures.floor import upright
-from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.records import Intrinsics
 
 NAME = re.compile(r"frame-(\d+)\.pose\.txt")

@@ -16,8 +16,8 @@ import numpy as np
 
 from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
 from xihenet.captures.values import numbers, pose_numbers, pose_of
-from xihenet.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
-from xihenet.json_files import read_json
+from xihenet.io.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
+from xihenet.io.json_files import read_json
 from xihenet.records import ArrayF64, Intrinsics
 
 FILES = ("rgb.txt", "depth.txt", "groundtruth.txt")

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from xihenet.picture_size import check_size
+from xihenet.io.picture_size import check_size
 from xihenet.records import ArrayU8
 
 EXTRA = "pip install 'xihe-blender[captures]'"

@@ -1,4 +1,4 @@
-"""Recordings of our own, as `xihenet.recording` has them: session.json beside one OpenEXR file per frame."""
+"""Recordings of our own, as `xihenet.io.recording` has them: session.json beside one OpenEXR file per frame."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 
 from xihenet.captures.capture import Capture, CapturedFrame, inside
-from xihenet.frame_files import BLENDER_FROM_UP, frame_camera
-from xihenet.recording import FRAME_FILES, SESSION_FILE, load_frame, read_header, read_session
+from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.io.recording import FRAME_FILES, SESSION_FILE, load_frame, read_header, read_session
 
 
 def is_in(folder: Path) -> bool:

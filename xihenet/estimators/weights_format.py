@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.estimators.base import Estimator, Target
-from xihenet.json_files import parse_json
-from xihenet.npz_files import npz_sizes, read_npz
+from xihenet.io.json_files import parse_json
+from xihenet.io.npz_files import npz_sizes, read_npz
 from xihenet.records import ArrayF32
 
 FORMAT_VERSION = 1

@@ -21,6 +21,7 @@ import numpy as np
 
 from xihenet import __version__
 from xihenet.colour import linear_to_srgb
+from xihenet.io.png import encode_png
 from xihenet.light.environments import Layout, encode_hdr, environment_picture, laid_out, reflections_picture
 from xihenet.light.platforms import (
     PLATFORMS,
@@ -32,7 +33,6 @@ from xihenet.light.platforms import (
     main_light_for,
     soft_light,
 )
-from xihenet.png import encode_png
 from xihenet.records import ArrayF64, ObjectLight
 
 TAKE_PICTURES: Mapping[str, Layout] = {"model-viewer": "+X", "playcanvas": "-Y", "usd": "-Y"}

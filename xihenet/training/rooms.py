@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.camera import in_view, unproject_frame
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
+from xihenet.io.npz_files import read_npz
 from xihenet.mirror_ball import project_mirror_ball
-from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, PointCloud, RgbdFrame
 
 Split = Literal["train", "validation", "test"]

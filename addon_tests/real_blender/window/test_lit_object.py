@@ -6,7 +6,7 @@ from blender_window import LONGEST_FREEZE_S, played
 
 from addon_tests.pure.furnished import seen
 from addon_tests.pure.recordings import looking
-from xihenet.recording import SessionRecorder
+from xihenet.io.recording import SessionRecorder
 
 pytestmark = pytest.mark.timeout(1200)
 LONGEST_FOLLOW_S = 3.0

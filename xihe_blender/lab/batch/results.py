@@ -30,7 +30,7 @@ from xihe_blender.lab.batch.grid import FORMAT_VERSION, BatchSettings, Unit
 from xihe_blender.lab.frontier.records import Frontier
 from xihenet import __version__
 from xihenet.estimators.weights_format import weights_sha256
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 from xihenet.phone import load_profile
 
 SCHEMA_VERSION: Literal[1] = 1

@@ -54,9 +54,9 @@ from xihe_blender.previs.settings import load_estimators
 from xihe_blender.report.values import mean
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
+from xihenet.io.recording import load_frame
 from xihenet.metrics import shc_rmse
 from xihenet.phone_session import PhoneSession
-from xihenet.recording import load_frame
 from xihenet.records import ObjectLight
 
 FACTORS = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0)

@@ -33,8 +33,8 @@ from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, Fro
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.survey import SceneSurvey
-from xihenet.json_files import read_json
-from xihenet.recording import load_frame, save_frame
+from xihenet.io.json_files import read_json
+from xihenet.io.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
 
 Kept = TypeVar("Kept")

@@ -22,7 +22,7 @@ from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, part_of
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.captures import open_capture
-from xihenet.json_files import read_json
+from xihenet.io.json_files import read_json
 from xihenet.placement import evenly_chosen
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.session_score import score_places

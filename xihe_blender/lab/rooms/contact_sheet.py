@@ -15,7 +15,7 @@ import numpy as np
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.lab.rooms.store import StoredRoom, load_room, room_path, stored_indices
 from xihenet.camera import encode_exposed
-from xihenet.png import write_png
+from xihenet.io.png import write_png
 from xihenet.records import ArrayU8
 
 GAP_PX = 4

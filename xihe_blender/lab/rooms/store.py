@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from xihe_blender.io.outputs import written_whole
 from xihenet.camera import sensed_ambient
+from xihenet.io.npz_files import read_npz
 from xihenet.metering import Metering
 from xihenet.mirror_ball import panorama_of_ball
-from xihenet.npz_files import read_npz
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 from xihenet.training.rooms import ROOM_FORMAT
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from xihenet.camera import encode_exposed
 from xihenet.colour import srgb_to_linear
-from xihenet.picture_size import MOST_PIXELS, MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
+from xihenet.io.picture_size import MOST_PIXELS, MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8
 
 # Those that take no more than ten bytes a pixel to read (a progressive JPEG); WebP takes sixteen.

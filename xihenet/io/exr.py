@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.picture_size import LONGEST_SIDE, TooLarge, picked_pixels
+from xihenet.io.picture_size import LONGEST_SIDE, TooLarge, picked_pixels
 from xihenet.records import ArrayF32, ArrayF64
 
 MAGIC = b"\x76\x2f\x31\x01"

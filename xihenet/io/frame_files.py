@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 
-from xihenet import exr, openexr_package
 from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth, valid_plane_depth
-from xihenet.image_files import read_colour, read_plane_depth
-from xihenet.json_files import read_json
+from xihenet.io import exr, openexr_package
+from xihenet.io.image_files import read_colour, read_plane_depth
+from xihenet.io.json_files import read_json
+from xihenet.io.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.metering import metered_exposure
-from xihenet.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")

@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.exr import Attribute, exr_attributes, exr_sizes, read_stored_exr, write_exr
 from xihenet.invalid import Counts
-from xihenet.json_files import read_json
+from xihenet.io.exr import Attribute, exr_attributes, exr_sizes, read_stored_exr, write_exr
+from xihenet.io.json_files import read_json
 from xihenet.records import ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 from xihenet.trigger import TriggerSettings
 

@@ -21,7 +21,7 @@ from xihenet.records import ArrayF32
 
 _IN_THE_PROCESS = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]);"
-    "from xihenet.openexr_package import store_channels; store_channels(*sys.argv[2:])"
+    "from xihenet.io.openexr_package import store_channels; store_channels(*sys.argv[2:])"
 )
 
 

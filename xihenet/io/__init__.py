@@ -1,0 +1,1 @@
+"""Files in and out: pictures, frames, recordings, arrays and JSON."""
