@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from previs_runs import DRAFT, SMALL, QuickProbes, run, walk
 from results_schema import without_times
-from tiny_scenes import empty_scene, room_with_a_virtual_sphere, saved, sphere
+from tiny_scenes import empty_scene, room_with_a_virtual_sphere, saved, set_world, sphere
 
 from xihe_blender.apply.datablocks import LIT_SCENE, lights_by_sh
 from xihe_blender.apply.session import XiheController
@@ -174,9 +174,7 @@ def test_a_library_or_an_image_that_has_changed_since_makes_another_run(library,
 
 
 def shown_in_the_sky(image):
-    world = bpy.data.worlds.new("Sky")
-    world.use_nodes, world.use_fake_user = True, True
-    world.node_tree.nodes.new("ShaderNodeTexEnvironment").image = image
+    set_world(bpy.context.scene).node_tree.nodes.new("ShaderNodeTexEnvironment").image = image
 
 
 def numbers(results):

@@ -119,6 +119,7 @@ def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
     if remembered_capture(scene) is not None:
         return
     layer = scene.view_layers[0]
+    layer.update()  # Blender 5.2 lists no objects before.
     unseen = [
         item.name
         for item in layer.objects
