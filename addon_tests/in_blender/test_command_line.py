@@ -297,7 +297,7 @@ MISTAKES = {
         "prewiew": "'prewiew' ... --help",
         "previs": "SCENE.blend ... --help",
         "previs scene.blend": "--out ... --help",
-        "previs scene.blend --out {out} --unknown": "--unknown ... --help",
+        "previs scene.blend --out {out} --unknown": "--unknown ... xihe previs --help",
         "scenes": "action ... --help",
     },
     "previs --out {out} ": {

@@ -83,14 +83,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, without the usage that hides it."""
 
+    command = ""
+
     def error(self, message: str) -> NoReturn:
-        raise UserError(f"{message}; see {self.prog} --help")
+        raise UserError(f"{message}; see {self.prog} {self.command}".rstrip() + " --help")
 
 
 def _parser(command: str | None = None) -> argparse.ArgumentParser:
     """The parser of `xihe`, with the options of one sub-command or, without its name, of all."""
     parser = _Parser(prog="xihe", description="AR lighting previsualisation in Blender.")
     parser.add_argument("--version", action="version", version=f"xihe {__version__}")
+    if command in COMMANDS:  # What a command does not know is refused here, not by its own parser.
+        parser.command = command
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, summary in COMMANDS.items():
         of_command = commands.add_parser(name, help=summary)
