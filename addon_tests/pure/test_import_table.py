@@ -131,6 +131,9 @@ def test_the_conventions_say_where_to_find_every_part_of_xihenet_and_name_files_
     where, _ = page.split("## Where is what")[1].split("## Who may import whom")
     paths = [path for path in (ROOT / "xihenet").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()]
     assert [path.stem for path in paths if path.stem != "__init__" and f"`{path.stem}`" not in where] == []
+    by_subject = where.split("what its files are about:")[1].split("Words that look alike")[0]
+    lie_there = {path.stem for path in (ROOT / "xihenet").iterdir()}
+    assert set(re.findall(r"`(\w+)`", by_subject)) <= lie_there
     names = re.findall(r"`(?:[\w/]+/)?(\w+)\.py`", where)
     assert names and [name for name in names if not any(ROOT.glob(f"xihe*/**/{name}.py"))] == []
 
