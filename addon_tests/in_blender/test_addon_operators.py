@@ -20,7 +20,13 @@ from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, run_time_job
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.virtual_objects import COLLECTION_NAME, make_room, make_virtual, virtual_objects
+from xihe_blender.scene.virtual_objects import (
+    COLLECTION_NAME,
+    make_room,
+    make_virtual,
+    virtual_collection,
+    virtual_objects,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -196,6 +202,25 @@ def test_an_error_stays_in_the_panel_until_something_succeeds():
         bpy.ops.xihe.import_capture()
     assert "No recording is chosen" in state.error
     assert bpy.ops.xihe.add_sphere_rig() == {"FINISHED"} and state.error == ""
+
+
+def test_nothing_goes_into_or_out_of_a_collection_of_virtual_objects_that_is_an_override(tmp_path):
+    scene = empty_scene()
+    box(scene, "Ball", (0, 0, 0), (1, 1, 1), collection=virtual_collection(scene, create=True))
+    library = saved(tmp_path / "library.blend")
+    scene = empty_scene()
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.collections = [COLLECTION_NAME]
+    bpy.data.collections[COLLECTION_NAME].override_hierarchy_create(scene, bpy.context.view_layer)
+    box(scene, "Cup", (0, 0, 0), (1, 1, 1))
+    cup, ball = (bpy.data.objects[name, None] for name in ("Cup", "Ball"))
+    before = memberships()
+    for move, item in ((make_virtual, cup), (make_room, ball)):
+        with pytest.raises(UserError, match=f"'{COLLECTION_NAME}' overrides one of another file.*Make Local"):
+            move(scene, [item])
+    assert memberships() == before
+    bpy.data.collections[COLLECTION_NAME, None].make_local(clear_liboverride=True)
+    assert make_virtual(scene, [cup]) == [cup] and make_room(scene, [ball]) == [ball]
 
 
 def test_the_rig_stands_at_the_cursor():

@@ -70,11 +70,13 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     renderable geometry (lamps, cameras) are left where they are; for one that holds others together see `with_parts`.
 
     Gives those that are virtual now. UserError, with nothing changed, for an object in a collection of another file,
-    and for a part of one that overrides such a collection: those move as a whole.
+    for a part of one that overrides such a collection (those move as a whole, with their lamps and cameras), and where
+    the collection of virtual objects is one itself.
     """
     chosen = [item for item in with_parts(scene, objects) if has_renderable_geometry(item)]
     virtual, room = collections_of(scene)
     _check_are_own(chosen, [*virtual, *room])
+    _check_can_change(scene, chosen)
     overrides = _overrides_of(chosen, room)
     collection = virtual_collection(scene, create=bool(chosen))
     _move(scene, overrides, collection)
@@ -101,6 +103,7 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     virtual, room = collections_of(scene)
     chosen = [item for item in with_parts(scene, objects) if virtual & set(item.users_collection)]
     _check_are_own(chosen, [*virtual, *room])
+    _check_can_change(scene, chosen)
     _move(scene, _overrides_of(chosen, virtual), scene.collection)
     virtual, room = collections_of(scene)
     for item in chosen:
@@ -198,6 +201,16 @@ def _check_are_own(objects: Sequence[bpy.types.Object], collections: Sequence[bp
                     f"object {item.name!r} is in collection {home.name!r}, which is linked from another file: "
                     "make that local first (Object > Relations > Make Local)"
                 )
+
+
+def _check_can_change(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> None:
+    """UserError if `objects` are to go into or out of a collection of virtual objects that is a library override."""
+    collection = virtual_collection(scene)
+    if objects and collection is not None and collection.override_library is not None:
+        raise UserError(
+            f"collection {collection.name!r} overrides one of another file, so that nothing can be put into it or "
+            "taken out: make it local first (right-click it in the Outliner, ID Data > Make Local)"
+        )
 
 
 def has_renderable_geometry(object: bpy.types.Object) -> bool:
