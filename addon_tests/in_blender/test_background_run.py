@@ -9,6 +9,7 @@ import pytest
 
 from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
 from xihe_blender.addon.modal_job import RunUnderWay
+from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Progress, run_blocking
 
@@ -37,6 +38,20 @@ def test_a_run_finds_its_scene_under_another_name_where_no_other_can_be_meant(tm
     assert run.find_scene() == other
     bpy.data.scenes.remove(other)
     scene.name = asked
+
+
+def test_a_run_whose_scene_was_deleted_is_shown_in_no_other(tmp_path):
+    hall, kitchen = bpy.context.scene, bpy.data.scenes.new("Kitchen")
+    run = saved_for_run(kitchen, tmp_path, {})
+    kitchen.name = "Bath"
+    assert run.find_scene() == kitchen
+    bpy.data.scenes.remove(kitchen)
+    with pytest.raises(UserError, match="no scene is called 'Kitchen' any more"):
+        run.find_scene()
+    hall[ROOM] = True
+    with pytest.raises(UserError, match="no scene is called 'Kitchen' any more"):
+        run.find_scene()
+    del hall[ROOM]
 
 
 def test_the_mouse_pointer_shows_the_progress_of_a_job_in_this_file_alone():

@@ -52,6 +52,7 @@ class RunRequest:
     blend, copy : the open file, and its copy in the run's folder
     started : when the scene looked as the run knows it
     choices : parameters of PrevisSettings
+    others : names of the file's other scenes, which the run's scene is not even where it was renamed
     """
 
     blend: str
@@ -60,6 +61,7 @@ class RunRequest:
     started: float
     command: str
     choices: Parameters
+    others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,15 +189,18 @@ class BackgroundRun:
         apply_results(self.find_scene(), self.folder)
 
     def find_scene(self) -> bpy.types.Scene:
-        """The scene of the open file that it is a run of: that of its name, or the only one, which was renamed.
+        """The scene of the open file that it is a run of: that of its name, or the only new name, as it was renamed.
 
         UserError where neither is there.
         """
         name = self.request.scene
         rooms = [scene for scene in bpy.data.scenes if scene.library is None and ROOM not in scene]
-        found = [scene for scene in rooms if scene.name == name] or rooms
-        if len(found) > 1:
-            raise UserError(f"no scene is called {name!r} any more: give the run's scene that name and show it again")
+        found = [scene for scene in rooms if scene.name == name]
+        found = found or [scene for scene in rooms if scene.name not in self.request.others]
+        if len(found) != 1:
+            raise UserError(
+                f"no scene is called {name!r} any more: give the run's scene that name and show it again, or discard it"
+            )
         return found[0]
 
 
@@ -204,7 +209,8 @@ def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> 
     copy, started = f"{Path(bpy.data.filepath).stem or 'untitled'}.blend", time.time()
     with written_whole(folder / copy) as beside, _no_file_previews():
         bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True)
-    request = RunRequest(bpy.data.filepath, copy, scene.name, started, COMMAND, choices)
+    others = tuple(other.name for other in bpy.data.scenes if other != scene)
+    request = RunRequest(bpy.data.filepath, copy, scene.name, started, COMMAND, choices, others)
     write_json(RunOutputs(folder).request, as_json(request))
     return BackgroundRun(folder)
 
