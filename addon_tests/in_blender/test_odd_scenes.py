@@ -119,6 +119,12 @@ def test_a_holdout_is_a_fault_of_what_is_rendered_and_none_over_a_recording():
     scene = room_with_a_virtual_sphere(1)
     scene.objects["Table"].is_holdout = scene.objects["Ball"].is_holdout = True
     assert [fault.name for fault in unseen_faults(scene)] == ["Table"]
+    not_rendered = bpy.data.collections.new("Not Rendered")
+    not_rendered.hide_render = True
+    scene.collection.children.link(not_rendered)
+    left_out = scene.objects["Table"].copy()
+    not_rendered.objects.link(left_out)
+    assert [fault.name for fault in unseen_faults(scene)] == ["Table"]
     scene[CAPTURE] = "recording"
     assert not list(unseen_faults(scene))
 
@@ -170,6 +176,15 @@ def test_a_library_or_an_image_that_has_changed_since_makes_another_run(library,
     behind.write_bytes(b"three")
     scene.camera.data.background_images.new().image = bpy.data.images.load(str(behind))
     assert made(scene) == found[-1]
+    tiles = [tmp_path / f"tile[a].{number}.png" for number in (1001, 1002)]
+    for tile in tiles:
+        tile.write_bytes(b"four")
+    image = bpy.data.images.load(str(tiles[0]))
+    image.source, image.filepath = "TILED", str(tmp_path / "tile[a].<UDIM>.png")
+    shown_in_the_sky(image)
+    found.append(made(scene))
+    tiles[1].write_bytes(b"five")
+    found.append(made(scene))
     assert found[0] is None and len(set(found)) == len(found)
 
 

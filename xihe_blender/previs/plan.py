@@ -5,9 +5,11 @@ What is wrong with the scene itself is found here, what is wrong with a frame of
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import hashlib
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -186,10 +188,15 @@ def _linked_sha256() -> str | None:
         for image, of_image in users.items()
         if not image.name.startswith(PREFIX) and any(not isinstance(user, LOOKED_AT_IN) for user in of_image)
     ]
-    paths = {bpy.path.abspath(one.filepath, library=one.library) for one in (*bpy.data.libraries, *images)}
+    named = {bpy.path.abspath(one.filepath, library=one.library) for one in (*bpy.data.libraries, *images)}
     digests = []
-    for path in map(Path, paths):
-        if path.is_file():
-            with path.open("rb") as file:
-                digests.append(hashlib.file_digest(file, "sha256").digest())
+    for path in itertools.chain.from_iterable(map(_files_of, map(Path, named))):
+        with contextlib.suppress(OSError), path.open("rb") as file:  # Blender cannot read it either.
+            digests.append(hashlib.file_digest(file, "sha256").digest())
     return hashlib.sha256(b"".join(sorted(digests))).hexdigest() if digests else None
+
+
+def _files_of(path: Path) -> Iterable[Path]:
+    """The file that Blender reads there: all tiles, where the path stands for an image that has several."""
+    tiles = glob.escape(path.name).replace("<UDIM>", 4 * "[0-9]").replace("<UVTILE>", "u*_v*")
+    return path.parent.glob(tiles) if "<U" in path.name else [path]

@@ -120,10 +120,11 @@ def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
         return
     layer = scene.view_layers[0]
     layer.update()  # Blender 5.2 lists no objects before.
+    rendered = set(_rendered_in(scene.collection))
     unseen = [
         item.name
         for item in layer.objects
-        if item.type in GEOMETRY_TYPES and not item.hide_render and item not in virtual
+        if item.type in GEOMETRY_TYPES and item not in virtual and item in rendered
         if item.is_holdout or item.is_shadow_catcher
         or item.holdout_get(view_layer=layer) or item.indirect_only_get(view_layer=layer)
     ]  # fmt: skip
@@ -134,6 +135,14 @@ def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
             "but light comes from there. Switch that off in Object Properties > Visibility, or in the outliner."
         )
         yield Fault(name=unseen[0], n=len(unseen), said=said)
+
+
+def _rendered_in(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
+    """What neither an object's own switch nor that of a collection hides in renders."""
+    if not collection.hide_render:
+        yield from (item for item in collection.objects if not item.hide_render)
+        for child in collection.children:
+            yield from _rendered_in(child)
 
 
 def image_faults(world: bpy.types.World | None) -> Iterator[Fault]:
