@@ -70,14 +70,36 @@ def test_no_line_of_the_room_is_drawn_over_the_captured_frame():
     scene = room_with_a_virtual_sphere()
     table, lamp = bpy.data.objects["Table"], bpy.data.objects["Lamp"]
     table.show_wire, table.display_type = True, "WIRE"
-    lamp.data.vertices.add(2)
-    lamp.data.edges.add(1)
-    lamp.data.edges[-1].vertices = len(lamp.data.vertices) - 2, len(lamp.data.vertices) - 1
-    lamp.data.update()
-    hide_behind_room(scene, scene, [])
-    of_table, of_lamp = bpy.data.objects["Xihe Lit Table"], bpy.data.objects["Xihe Lit Lamp"]
-    assert (of_table.display_type, of_table.show_wire, of_lamp.display_type) == ("TEXTURED", False, "BOUNDS")
-    assert (table.display_type, table.show_wire, lamp.display_type) == ("WIRE", True, "TEXTURED")
+    n_edges = len(lamp.data.edges)
+    lamp.shape_key_add(name="Basis")
+    add_loose_edge(lamp.data)
+    skinned = lamp.copy()
+    skinned.name = "Skinned"
+    skinned.modifiers.new("Skin", "SKIN")
+    scene.collection.objects.link(skinned)
+    edges = bpy.data.objects.new("Edges", bpy.data.meshes.new("Edges"))
+    add_loose_edge(edges.data)
+    scene.collection.objects.link(edges)
+    before = snapshot()
+    lit = bpy.data.scenes.new(LIT_SCENE)
+    lit[ROOM] = scene
+    hide_behind_room(lit, scene, [])
+    shown = {name: bpy.data.objects[f"Xihe Lit {name}"] for name in ("Table", "Lamp", "Skinned")}
+    assert {(item.display_type, item.show_wire) for item in shown.values()} == {("TEXTURED", False)}
+    assert "Xihe Lit Edges" not in bpy.data.objects
+    mesh = shown["Lamp"].data
+    assert not any(edge.is_loose for edge in mesh.edges) and len(mesh.edges) == n_edges
+    assert len(mesh.vertices) == len(lamp.data.vertices) and len(mesh.polygons) == len(lamp.data.polygons)
+    assert shown["Table"].data == table.data and shown["Skinned"].data == lamp.data
+    remove_lit_scene()
+    assert differences(before, snapshot()) == ({}, [])
+
+
+def add_loose_edge(mesh):
+    mesh.vertices.add(2)
+    mesh.edges.add(1)
+    mesh.edges[-1].vertices = len(mesh.vertices) - 2, len(mesh.vertices) - 1
+    mesh.update()
 
 
 @pytest.fixture

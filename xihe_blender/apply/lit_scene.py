@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import bmesh
 import bpy
 from mathutils import Matrix
 
@@ -37,6 +38,8 @@ ROOM_COPY = "xihe_room_copy"
 """Custom property of what holds out in front of the objects. A name would not do: a user's object may have it."""
 
 _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "CURVES", "POINTCLOUD")
+_FROM_EDGES = ("NODES", "SCREW", "SKIN")
+"""Modifiers that may make faces of edges that have none."""
 
 
 @dataclass(frozen=True)
@@ -107,39 +110,62 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
 def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> None:
     """Let what stands in front of `objects` in `room` hide them in `lit`: copies that share data and animation.
 
-    Metaballs, volumes, and copies that an object makes of its children, are not among them.
+    Metaballs, volumes, and copies that an object makes of its children, are not among them. Edges without a face are
+    left out of a copy of the data.
     """
+    tidied: dict[bpy.types.ID, bpy.types.ID] = {}
     holder, has_catchers = bpy.data.collections.new(f"{LIT_SCENE} Room"), bool(shadow_catchers(lit))
     for item in dict.fromkeys(_seen_in(room.view_layers[0].layer_collection)):
-        is_solid = item.type in _SOLID or item.instance_type == "COLLECTION"
         if SCAN in item and has_catchers:  # It is a catcher there, which would catch no shadow behind a copy.
             continue
-        if is_solid and item.visible_camera and not item.is_holdout and item not in objects:
+        if _may_hide(item) and item.visible_camera and not item.is_holdout and item not in objects:
             copied = item.copy()
             copied.name, copied.is_holdout = f"{LIT_SCENE} {item.name}", True
             copied[ROOM_COPY] = copied.hide_select = True
-            _draw_no_lines(copied)
+            _draw_no_lines(copied, tidied)
             copied.is_shadow_catcher &= SCAN not in item
             show_to_camera_alone(copied)
             holder.objects.link(copied)
     lit.collection.children.link(holder)
 
 
-def _draw_no_lines(copied: bpy.types.Object) -> None:
+def _may_hide(item: bpy.types.Object) -> bool:
+    """Whether it may have a surface: a mesh of edges or points alone has none."""
+    if item.type == "MESH":
+        return bool(item.data.polygons or item.modifiers)
+    return item.type in _SOLID or item.instance_type == "COLLECTION"
+
+
+def _draw_no_lines(copied: bpy.types.Object, tidied: dict[bpy.types.ID, bpy.types.ID]) -> None:
     """Keep a copy's wires, name and axes off the captured frames, which are an overlay themselves and cannot hide them.
 
-    Edges without a face are drawn whatever an object's settings are, unless it is shown by its bounds; Cycles renders
-    it all the same.
+    Blender draws edges without a face whatever an object's settings are, but for its bounds, which are more lines. No
+    render shows them: `tidied` holds the data without them.
     """
-    import numpy as np
-
     copied.show_wire = copied.show_name = copied.show_axis = copied.show_bounds = copied.show_in_front = False
     copied.display_type = "TEXTURED"
-    if copied.type == "MESH":
-        is_loose = np.zeros(len(copied.data.edges), bool)
-        copied.data.edges.foreach_get("is_loose", is_loose)
-        if is_loose.any():
-            copied.display_type = "BOUNDS"
+    if copied.type == "MESH" and not any(modifier.type in _FROM_EDGES for modifier in copied.modifiers):
+        if copied.data not in tidied:
+            tidied[copied.data] = _without_loose_edges(copied.data)
+        copied.data = tidied[copied.data]
+
+
+def _without_loose_edges(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
+    """A copy without the edges that have no face; `mesh` itself where there are none. The vertices are the same."""
+    from xihe_blender.scene.mesh_arrays import array_of
+
+    if not array_of(mesh.edges, "is_loose", bool).any():
+        return mesh
+    copied = mesh.copy()
+    copied.name = f"{LIT_SCENE} {mesh.name}"
+    copied[ROOM_COPY] = True
+    edited = bmesh.new()
+    edited.from_mesh(copied)
+    for edge in [edge for edge in edited.edges if edge.is_wire]:
+        edited.edges.remove(edge)
+    edited.to_mesh(copied)
+    edited.free()
+    return copied
 
 
 def _seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
@@ -249,7 +275,8 @@ def remove_lit_scene() -> None:
                 window.scene = room
     remove_shadow_catchers(shadow_catchers(lit))
     own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None)}
-    own |= {item for item in lit.objects if ROOM_COPY in item}
+    copies = [item for item in lit.objects if ROOM_COPY in item]
+    own |= {block for item in copies for block in (item, item.data) if block is not None and ROOM_COPY in block}
     for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
         own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
         actions = [owner.animation_data.action for owner in (camera, camera.data) if owner.animation_data is not None]
