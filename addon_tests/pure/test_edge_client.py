@@ -267,6 +267,17 @@ def test_a_command_says_which_estimator_the_server_has(server):
         backend_at(f"http://127.0.0.1:{server.port}", "projection", N, "ldr")
 
 
+def test_a_key_with_a_password_is_refused_without_asking_for_it(tmp_path):
+    from xihenet.edge.server import tls_of
+
+    certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
+    certificate.write_bytes(trustme.CA().issue_cert("localhost").cert_chain_pems[0].bytes())
+    named = f"Proc-Type: 4,ENCRYPTED\nDEK-Info: AES-128-CBC,{'0' * 32}"
+    key.write_text(f"-----BEGIN RSA PRIVATE KEY-----\n{named}\n\n{'A' * 64}\n-----END RSA PRIVATE KEY-----\n")
+    with pytest.raises(ssl.SSLError):
+        tls_of(ServerSettings(port=0, certificate=certificate, key=key))
+
+
 def test_over_tls_a_client_that_trusts_the_certificate_gets_light_and_another_says_why_not(tmp_path, monkeypatch):
     authority, certificate, key = trustme.CA(), tmp_path / "certificate.pem", tmp_path / "key.pem"
     issued = authority.issue_cert("127.0.0.1")

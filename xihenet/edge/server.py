@@ -142,5 +142,6 @@ def tls_of(settings: ServerSettings) -> ssl.SSLContext | None:
     if settings.certificate is None:
         return None
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    context.load_cert_chain(settings.certificate, settings.key)
+    # Else OpenSSL would ask in the terminal for the key's password, once in each process.
+    context.load_cert_chain(settings.certificate, settings.key, password=b"")
     return context
