@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from addon_runs import registered_addon
 from previs_runs import walk
+from tiny_scenes import box, empty_scene, saved
 
 from xihe_blender.addon.result_operators import viewer_of_run
 from xihe_blender.apply.datablocks import LightOf
@@ -144,6 +145,19 @@ def test_an_object_that_the_viewport_hides_is_exported_as_a_run_shows_it(hidden)
     else:
         home.exclude = True
     assert viewed_objects(scene, [ball], [1])[0].glb == shown
+
+
+def test_a_hidden_object_of_a_library_is_exported_beside_one_of_its_name(tmp_path):
+    walk()
+    library = saved(tmp_path / "library.blend")
+    scene = empty_scene()
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.collections = ["Xihe Virtual"]
+    virtual = bpy.data.collections["Xihe Virtual"]
+    scene.collection.children.link(virtual)
+    box(scene, "Ball", (0, 0, 0), (1, 1, 1))
+    scene.view_layers[0].layer_collection.children["Xihe Virtual"].exclude = True
+    assert material_of(viewed_objects(scene, [virtual.objects["Ball"]], [1])[0].glb) is not None
 
 
 @pytest.mark.slow

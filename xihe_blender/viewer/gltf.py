@@ -65,7 +65,7 @@ def _unhide(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     """Let the viewport show `item`, whatever hides it: a run lights it all the same."""
     layer = scene.view_layers[0]
     item.hide_viewport = False
-    if item.name not in scene.collection.objects:  # Its collections may be hidden, or left out of the view layer.
+    if scene.collection not in item.users_collection:  # Its collections may be hidden, or left out of the view layer.
         scene.collection.objects.link(item)
     layer.update()
     item.hide_set(False, view_layer=layer)
