@@ -1,11 +1,13 @@
 """The backend at the other end: the light of here and there are one, and a lost server costs no light."""
 
 import contextlib
+import gc
 import json
 import socket
 import ssl
 import threading
 import time
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +24,7 @@ from xihenet.controller import ControllerSettings, XiheController
 from xihenet.edge import client
 from xihenet.edge.batching import Inference
 from xihenet.edge.client import EdgeBackend, backend_at
-from xihenet.edge.connection import EdgeRefused, Patience
+from xihenet.edge.connection import EdgeRefused, Patience, PatientConnection, TryAgain
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
@@ -265,6 +267,23 @@ def test_a_command_says_what_to_do_where_no_server_is(monkeypatch):
 def test_a_command_says_which_estimator_the_server_has(server):
     with pytest.raises(ValueError, match="give --estimator lattice"):
         backend_at(f"http://127.0.0.1:{server.port}", "projection", N, "ldr")
+
+
+def test_a_failure_keeps_nothing_of_its_attempts_alive():
+    connections = []
+
+    def attempt():
+        here = {1}
+        connections.append(weakref.ref(here))
+        raise TryAgain("busy")
+
+    gc.disable()
+    try:
+        with contextlib.suppress(NoAnswer):
+            PatientConnection("http://127.0.0.1:9", QUICK).persist(attempt)
+        assert [made() for made in connections] == [None] * QUICK.n_tries
+    finally:
+        gc.enable()
 
 
 def test_a_key_with_a_password_is_refused_without_asking_for_it(tmp_path):

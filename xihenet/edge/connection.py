@@ -70,12 +70,13 @@ class PatientConnection:
 
     def persist(self, attempt: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """What `attempt` gives, tried as often as patience allows; `NoAnswer` after that."""
-        wait_s, last = self.patience.first_wait_s, None
+        wait_s, kind = self.patience.first_wait_s, TryAgain
         for left in reversed(range(self.patience.n_tries)):
             try:
                 answer = attempt()
             except TryAgain as again:
-                self.last_failure, last = str(again), again
+                # Not the error itself, whose frames would keep this one and the connection alive.
+                self.last_failure, kind = str(again), type(again)
                 if left:
                     self.n_retries += 1
                     time.sleep(min(max(wait_s, again.wait_s), self.patience.longest_wait_s))
@@ -87,7 +88,7 @@ class PatientConnection:
         now = time.monotonic()
         self.lost_since = self.lost_since or now
         self._rests_until = now + self.patience.rest_s
-        raise NoAnswer(f"{self.url} does not answer: {self.last_failure}") from last
+        raise NoAnswer(f"{self.url} does not answer: {self.last_failure}") from kind(self.last_failure)
 
     def ask(self, method: str, path: str, body: bytes, headers: dict[str, str]) -> dict[str, Any]:
         """The JSON of an answer, tried once; `TryAgain` for what may pass, `EdgeRefused` for what will not."""
