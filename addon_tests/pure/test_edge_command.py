@@ -2,8 +2,9 @@
 
 import json
 import signal
+import socket
 import sys
-from contextlib import closing
+from contextlib import closing, suppress
 
 import numpy as np
 import pytest
@@ -37,6 +38,13 @@ def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
     assert token not in logged and session not in logged
 
 
+def has_ipv6():
+    with suppress(OSError), socket.create_server(("::1", 0), family=socket.AF_INET6):
+        return True
+    return False
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
 def test_an_ipv6_address_is_said_as_it_is_opened():
     with (
         serving(*PROJECTION, "0", "--host", "::1", host=r"\[::1\]") as (_, port),
