@@ -189,5 +189,5 @@ def test_an_object_of_the_users_with_our_name_is_left_alone(by_hand, tmp_path):
 
 def test_a_height_without_a_place_is_told_in_the_panels_words(scene):
     scene.xihe.maps_air, scene.xihe.map_height_m = True, 50.0
-    with pytest.raises(RuntimeError, match="give another Height, or a larger reach to xihe placement"):
+    with pytest.raises(RuntimeError, match=r"give another Height, bring the camera nearer to it$"):
         bpy.ops.xihe.map_places()

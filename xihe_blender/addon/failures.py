@@ -24,10 +24,11 @@ IN_THE_PANEL = {
     "--network": "Network",
     "--out": "Runs Folder",
     "--phone": "Phone",
-    "--reach": "reach to xihe placement",
     "run xihe previs": "run",
+    ", or give a larger --reach": "",
 }
-"""What the panel calls a command or an option of the command line, in whose words the work speaks."""
+"""What the panel calls a command or an option of the command line, in whose words the work speaks. What it does not
+have is left out."""
 
 
 def format_error(error: BaseException) -> str:
@@ -42,7 +43,8 @@ def format_error(error: BaseException) -> str:
 
 def in_the_panels_words(line: str) -> str:
     """`line` with what the panel calls the command line's commands and options."""
-    return re.sub(r"--[a-z]+|run xihe previs", lambda option: IN_THE_PANEL.get(option[0], option[0]), line)
+    words = "|".join(map(re.escape, IN_THE_PANEL))
+    return re.sub(rf"({words})(?![a-z])", lambda found: IN_THE_PANEL[found[0]], line)
 
 
 def failed(operator: bpy.types.Operator, context: bpy.types.Context, error: BaseException) -> set[str]:

@@ -174,10 +174,10 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
     if best is None and fewest is not None:
         best = np.array(evenly_chosen(list(fewest[0]), wanted.most)), fewest[1]
     if best is None:
-        fix = "let the camera look at one, or give" if wanted.height_m is None else "give another --height, or"
+        fix = "" if wanted.height_m is None else "give another --height, "
         raise UserError(
             f"the phone sees nowhere to put an object: no frame of the path shows {what} within {wanted.reach_m:g} m "
-            f"of the camera; {fix} a larger --reach"
+            f"of the camera; {fix}bring the camera nearer to it, or give a larger --reach"
         )
     clearance_m = 0.0 if wanted.height_m is not None else wanted.clearance_m
     return best[0] + (0, 0, clearance_m), best[1]

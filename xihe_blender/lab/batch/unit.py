@@ -137,7 +137,7 @@ def _peak_memory_mb() -> float | None:
 
 def compare_unit(
     runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]
-) -> Job[tuple[list[dict[int, Metrics]], dict[int, float], float]]:
+) -> Job[tuple[list[dict[int, Metrics]], dict[int, float | None], float]]:
     """Every trial against the truth, at the frames that `xihe previs` would compare.
 
     Metrics of each trial by frame, pixels that virtual objects cover by frame, and seconds.
@@ -155,7 +155,7 @@ def compare_unit(
     kept = {frame: kept_json(first.outputs.compared(frame), read) for frame in frames if sources[frame] == frame}
     missing = [frame for frame, content in kept.items() if content is None]
     by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
-    pixels: dict[int, float] = {}
+    pixels: dict[int, float | None] = {}
     with contextlib.ExitStack() as stack:
         if missing:
             methods = [str(index) for index in range(len(runs))]
@@ -171,7 +171,7 @@ def compare_unit(
                 content = kept[frame] = _compared(first, frame, lights[frame], comparer, by_trial)
                 write_json(first.outputs.compared(frame), as_json(content))
                 first.outputs.ground_truth(frame).unlink()
-            pixels[frame] = content.object_pixels or 0.0
+            pixels[frame] = content.object_pixels or None  # Frames without an object do not count.
             for index in trials[frame]:
                 by_trial[index][frame] = content.metrics[str(index)]
     return by_trial, pixels, sum(content.render_s for content in kept.values() if content is not None)
@@ -203,7 +203,7 @@ def _compared(
 
 def trial_figures(
     run: PreparedRun, walked: WalkedPath, compared: Mapping[int, Metrics], swept: Sequence[TriggerFigures],
-    pixels: Mapping[int, float],
+    pixels: Mapping[int, float | None],
 ) -> TrialFigures:  # fmt: skip
     """One trial: its means, its frames, and what a more or less eager trigger would have done."""
     active = [entry for entry in walked.frames if entry.active]
@@ -221,7 +221,7 @@ def trial_figures(
         estimates_per_minute=estimates_per_minute(walked, n_fired),
         **_means(probes),
         **{metric: mean(getattr(frame, metric) for frame in frames) for metric in METRICS},
-        object_pixels=mean(pixels[frame] or None for frame in compared),
+        object_pixels=mean(pixels[frame] for frame in compared),
         payload_bytes=sum(probe.payload_bytes for probe in probes),
         frames=frames,
         thetas=tuple(swept),
