@@ -7,7 +7,6 @@ figures as hollow marks on it.
 from __future__ import annotations
 
 import itertools
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -167,9 +166,6 @@ def _markdown_of(study: Study, result: StudyResult) -> Iterator[str]:
         yield from (f"Could not be measured: {result.failed_because}.", "")
         return
     yield from table_lines(result.rows, lambda row: _cells(row)[:-1])
-    said: list[str] = []
-    for words in dict.fromkeys(row.sentence for row in result.rows):
-        new = [one for one in re.split(r"(?<=\.) (?=[A-Z])", words) if one not in said]
-        yield from [f"- {' '.join(new)}"] if new else []
-        said += new
+    # Once where several rows share it.
+    yield from (f"- {sentence}" for sentence in dict.fromkeys(row.sentence for row in result.rows))
     yield ""
