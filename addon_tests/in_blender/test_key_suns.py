@@ -22,6 +22,7 @@ from xihe_blender.apply.key_suns import (
     remove_key_sun,
     sun_name,
 )
+from xihe_blender.apply.lit_timeline import key_object_light
 from xihe_blender.apply.reflection_pictures import PICTURE, is_shiny, light_called_for
 from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, f_curves, make_sh_world
 from xihe_blender.apply.shadow_catchers import catcher_name, shadow_catchers
@@ -29,14 +30,12 @@ from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.compare.methods import REFLECTION_SAMPLES, open_comparer
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.io.run_lights import light_of_change
+from xihe_blender.io.run_lights import last_surfaces, light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
-from xihe_blender.previs.lit_blend import key_object_light
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
-from xihe_blender.previs.results import last_surfaces
 from xihe_blender.previs.results_notes import light_notes
 from xihe_blender.previs.run_chain import walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators

@@ -30,6 +30,7 @@ from xihe_blender.apply.datablocks import (
 from xihe_blender.apply.images import as_environment, write_image
 from xihe_blender.apply.key_suns import key_suns, remove_key_sun
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_over_frames, remove_lit_scene
+from xihe_blender.apply.lit_timeline import apply_lights, key_object_light, light_of, reflected_of
 from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
@@ -43,10 +44,10 @@ from xihe_blender.apply.sh_worlds import (
 from xihe_blender.compare.side_by_side import middle_of_change, read_picture, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_lights import last_surfaces
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.better_camera import remove_better_camera
-from xihe_blender.previs.lit_blend import apply_lights, key_object_light, light_of, make_lit_scene, reflected_of
-from xihe_blender.previs.results import last_surfaces
+from xihe_blender.previs.lit_blend import make_lit_scene
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.io.frame_files import FrameCamera
 from xihenet.io.recording import read_header

@@ -1,4 +1,7 @@
-"""The lights of a run, read back from its results and pictures, and written for an engine."""
+"""The lights of a run, and the surfaces that their shadows fall on: as results hold them, read back from there.
+
+And lights as they are written for an engine.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,60 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import written_whole
-from xihe_blender.io.run_results import LightChange, RunResults
+from xihe_blender.io.run_results import (
+    Coefficients,
+    FrameResult,
+    KeyLightResult,
+    LightChange,
+    Rgb,
+    RunResults,
+    SurfaceResult,
+)
 from xihenet.light import LightParts
 from xihenet.light.environments import laid_out_as_ours
 from xihenet.light.exports import NamedLight, export_files, scaled
 from xihenet.records import ArrayF64, KeyLight, ObjectLight
+from xihenet.surfaces import Surface
+
+
+def as_key(key: KeyLight | None) -> KeyLightResult | None:
+    """A key light as results.json has it."""
+    if key is None:
+        return None
+    return KeyLightResult(
+        direction=as_rgb(key.direction),
+        irradiance=as_rgb(key.irradiance),
+        angular_radius=float(key.angular_radius),
+        is_seen=bool(key.is_seen),
+        certainty=float(key.certainty),
+    )
+
+
+def as_surface_result(surface: Surface) -> SurfaceResult:
+    """A surface that catches shadows as results.json has it."""
+    return SurfaceResult(
+        outline_m=tuple(as_rgb(corner) for corner in surface.outline_m.round(5)), normal=as_rgb(surface.normal)
+    )
+
+
+def last_surfaces(frames: Sequence[FrameResult]) -> dict[str, list[Surface]]:
+    """By object, where its shadow falls, as the last compared frame has it."""
+    compared = [frame.compared for frame in frames if frame.compared is not None]
+    found = compared[-1].surfaces if compared else {}
+    return {
+        name: [Surface(np.array(one.outline_m), np.array(one.normal), 0.0) for one in of_one]
+        for name, of_one in found.items()
+    }
+
+
+def as_coefficients(light: ArrayF64) -> Coefficients:
+    """(K, 3) as results hold it."""
+    return tuple(as_rgb(row) for row in light)
+
+
+def as_rgb(row: ArrayF64) -> Rgb:
+    """(3,) as results hold it."""
+    return float(row[0]), float(row[1]), float(row[2])
 
 
 def light_of_change(change: LightChange) -> ObjectLight:

@@ -23,13 +23,13 @@ from xihe_blender.io.json_records import as_json
 from xihe_blender.io.kept_files import read_kept
 from xihe_blender.io.look_results import LookAway, LookResults, ObjectAdvice, TrueErrors
 from xihe_blender.io.outputs import write_json
+from xihe_blender.io.run_lights import as_rgb
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.captured_path import CapturedPath, capture_path, measured_lights, said_of_path
 from xihe_blender.previs.kept_session import KeptSession, open_kept_session
 from xihe_blender.previs.look_pictures import write_pictures
 from xihe_blender.previs.placement import PlacementSettings, find_places
 from xihe_blender.previs.plan import plan_previs
-from xihe_blender.previs.results import as_rgb
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.look import write_look_report
 from xihe_blender.scene.state import scene_kept

@@ -20,11 +20,11 @@ from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
+from xihe_blender.io.run_lights import as_surface_result
 from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import Progress
 from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.results import as_surface_result
 from xihe_blender.previs.run_chain import Lights, WalkedPath
 from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame

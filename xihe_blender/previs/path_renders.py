@@ -22,7 +22,8 @@ from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanne
 from xihe_blender.io.exr import read_radiance, write_radiance
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
-from xihe_blender.io.outputs import copy_whole, write_json, write_picture
+from xihe_blender.io.outputs import copy_whole, finite_or_none, write_json, write_picture
+from xihe_blender.io.run_results import CaptureRender, ProbeRender, Rendering
 from xihe_blender.jobs import Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
@@ -130,6 +131,35 @@ def _is_measured(run: PreparedRun, frame: int, probe: Probe) -> bool:
         return True
     mirror_ball = run.outputs.mirror_ball(run.plan.probes.index(probe), probe.name, frame)
     return read_kept(mirror_ball, read_radiance) is not None
+
+
+def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> Rendering:
+    """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
+    source, count = run.reuse.captures[frame], run.sample_count
+    capture = CaptureRender(
+        rendered=source == frame,
+        same_as=None if source == frame else source,
+        samples=count.capture_samples,
+        noise=finite_or_none(count.capture_noise),
+    )
+    probes = {
+        name: _probe_render(frame, run.reuse.probes[frame, name], light, run) for name, light in references.items()
+    }
+    return Rendering(capture=capture, probes=probes)
+
+
+def _probe_render(frame: int, source: int, light: MeasuredLight, run: PreparedRun) -> ProbeRender:
+    target, aim = run.settings.target, run.reference
+    samples, noise = light.samples(target), light.noise(target)
+    is_too_noisy = noise is not None and aim.noise_target is not None and noise > aim.noise_target
+    return ProbeRender(
+        rendered=source == frame,
+        same_as=None if source == frame else source,
+        samples=samples,
+        noise=finite_or_none(noise),
+        expected_error=finite_or_none(light.expected_error(target)),
+        is_capped=is_too_noisy and samples >= aim.max_samples,
+    )
 
 
 def true_reflections(run: PreparedRun, probe: Probe, frame: int, lattice: AnchorLattice) -> Reflections:

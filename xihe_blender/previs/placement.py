@@ -20,12 +20,12 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified, best_first
+from xihe_blender.io.run_lights import as_rgb
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.captured_path import capture_path, measured_lights, said_of_path
 from xihe_blender.previs.kept_session import KeptSession
 from xihe_blender.previs.placement_pictures import write_pictures
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.results import as_rgb
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.report.placement import write_placement_report
 from xihe_blender.scene.state import scene_kept

@@ -14,17 +14,19 @@ from pathlib import Path
 
 import bpy
 
+from xihe_blender.apply.lit_timeline import apply_lights
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.io.run_lights import last_surfaces
 from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.compare_path import compare_path
 from xihe_blender.previs.composite_path import composite_path
 from xihe_blender.previs.kept_session import kept_facts
-from xihe_blender.previs.lit_blend import apply_lights, light_changes, save_lit_blend
+from xihe_blender.previs.lit_blend import save_lit_blend
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.recorded_run import prepare_recorded, recorded_session
@@ -90,9 +92,9 @@ def previs(
     close_backends(loaded)
     yield run.progress("methods", 1, "applying the light and writing the report")
     estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
-    changes = light_changes(plan, estimated, outputs, run.exposure)
+    changes = results.light_changes(plan.objects, estimated, outputs, run.exposure)
     apply_lights(scene, changes, walked.frames, run.exposure, outputs.folder, has_key_light=run.settings.has_key_light)
-    save_lit_blend(scene, plan, results.last_surfaces(frames), outputs.lit_blend)
+    save_lit_blend(scene, plan.objects, last_surfaces(frames), outputs.lit_blend)
     found = results.assemble(
         run,
         frames,

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 
-from xihe_blender.capture.reference_probe import MeasuredLight
+from xihe_blender.apply.images import as_environment
+from xihe_blender.apply.reflection_pictures import has_sun_for_lamp
 from xihe_blender.compare.methods import ERROR_AT_FULL_SCALE
 from xihe_blender.io import run_results as records
+from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.json_records import from_json
-from xihe_blender.io.outputs import finite_or_none
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.provenance import machine, software
+from xihe_blender.io.run_lights import as_coefficients, as_key
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
@@ -26,94 +28,48 @@ from xihe_blender.report.values import mean
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
 from xihenet.invalid import added, counted
-from xihenet.phone import Request, first_frame_after
-from xihenet.records import ArrayF64, KeyLight
-from xihenet.surfaces import Surface
+from xihenet.light.reflections import light_of_rough, reflection_panorama
+from xihenet.records import ObjectLight
 
 AS_SET = {part.name for part in fields(records.RunSettings)} & {part.name for part in fields(PrevisSettings)}
 """Settings that results hold under the same names; some of them as they came to be, see `_settings`."""
 
 
-def rendering(frame: int, references: Mapping[str, MeasuredLight], run: PreparedRun) -> records.Rendering:
-    """What was rendered for `frame`, with how many samples and what noise, and what an earlier frame had already."""
-    source, count = run.reuse.captures[frame], run.sample_count
-    capture = records.CaptureRender(
-        rendered=source == frame,
-        same_as=None if source == frame else source,
-        samples=count.capture_samples,
-        noise=finite_or_none(count.capture_noise),
-    )
-    probes = {
-        name: _probe_render(frame, run.reuse.probes[frame, name], light, run) for name, light in references.items()
-    }
-    return records.Rendering(capture=capture, probes=probes)
+def light_changes(
+    objects: Sequence[bpy.types.Object],
+    lights: Mapping[int, Mapping[str, ObjectLight]],
+    outputs: RunOutputs,
+    exposure: float,
+) -> dict[str, tuple[records.LightChange, ...]]:
+    """The light of each virtual object wherever it changes; what it reflects is written to `outputs`.
 
-
-def _probe_render(frame: int, source: int, light: MeasuredLight, run: PreparedRun) -> records.ProbeRender:
-    target, aim = run.settings.target, run.reference
-    samples, noise = light.samples(target), light.noise(target)
-    is_too_noisy = noise is not None and aim.noise_target is not None and noise > aim.noise_target
-    return records.ProbeRender(
-        rendered=source == frame,
-        same_as=None if source == frame else source,
-        samples=samples,
-        noise=finite_or_none(noise),
-        expected_error=finite_or_none(light.expected_error(target)),
-        is_capped=is_too_noisy and samples >= aim.max_samples,
-    )
-
-
-def arrival(request: Request | None, times_s: Mapping[int, float]) -> tuple[int | None, float | None]:
-    """Frame and latency, in ms, of one step's estimate; None without one, for a lost one, or after the last frame.
-
-    `times_s` are those of the path's frames, by number.
+    `lights` are by frame and virtual object, and carry `exposure`.
     """
-    if request is None:
-        return None, None
-    frames = list(times_s)
-    index = int(first_frame_after([request.arrival_s], list(times_s.values()))[0])
-    latency_s = request.latency_s
-    return frames[index] if index < len(frames) else None, None if latency_s is None else 1e3 * latency_s
-
-
-def as_key(key: KeyLight | None) -> records.KeyLightResult | None:
-    """A key light as results.json has it."""
-    if key is None:
-        return None
-    return records.KeyLightResult(
-        direction=as_rgb(key.direction),
-        irradiance=as_rgb(key.irradiance),
-        angular_radius=float(key.angular_radius),
-        is_seen=bool(key.is_seen),
-        certainty=float(key.certainty),
-    )
-
-
-def as_surface_result(surface: Surface) -> records.SurfaceResult:
-    """A surface that catches shadows as results.json has it."""
-    return records.SurfaceResult(
-        outline_m=tuple(as_rgb(corner) for corner in surface.outline_m.round(5)), normal=as_rgb(surface.normal)
-    )
-
-
-def last_surfaces(frames: Sequence[records.FrameResult]) -> dict[str, list[Surface]]:
-    """By object, where its shadow falls, as the last compared frame has it."""
-    compared = [frame.compared for frame in frames if frame.compared is not None]
-    found = compared[-1].surfaces if compared else {}
-    return {
-        name: [Surface(np.array(one.outline_m), np.array(one.normal), 0.0) for one in of_one]
-        for name, of_one in found.items()
-    }
-
-
-def as_coefficients(light: ArrayF64) -> records.Coefficients:
-    """(K, 3) as results hold it."""
-    return tuple(as_rgb(row) for row in light)
-
-
-def as_rgb(row: ArrayF64) -> records.Rgb:
-    """(3,) as results hold it."""
-    return float(row[0]), float(row[1]), float(row[2])
+    changes: dict[str, tuple[records.LightChange, ...]] = {}
+    for index, item in enumerate(objects):
+        of_one: list[records.LightChange] = []
+        has_sun = has_sun_for_lamp(item)
+        pictures: dict[bytes, records.ReflectionsResult] = {}
+        for frame, light in ((frame, of_all[item.name]) for frame, of_all in lights.items()):
+            reflected = None
+            if light.reflections is not None:
+                path = outputs.reflections(index, item.name, len(pictures) + 1)
+                shown = light_of_rough(light).reflections if has_sun else light.reflections
+                assert shown is not None
+                pixels = shown.radiance.tobytes()
+                if pixels not in pictures:
+                    write_radiance(path, as_environment(reflection_panorama(shown) / exposure))
+                    seen_share = float(light.reflections.seen_share)
+                    pictures[pixels] = records.ReflectionsResult(
+                        picture=outputs.relative(path), seen_share=seen_share, has_lamp=not has_sun
+                    )
+                reflected = pictures[pixels]
+            sh, key = as_coefficients(light.sh), as_key(light.key)
+            change = records.LightChange(frame=frame, sh=sh, key=key, reflections=reflected)
+            if not of_one or replace(of_one[-1], frame=frame) != change:
+                of_one.append(change)
+        changes[item.name] = tuple(of_one)
+    return changes
 
 
 def assemble(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,10 +20,17 @@ from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import finite_or_none, write_picture
+from xihe_blender.io.run_lights import as_coefficients, as_rgb
 from xihe_blender.io.run_results import FrameResult, OtherLight, PhoneErrors, ProbeResult
 from xihe_blender.jobs import Progress
-from xihe_blender.previs import results
-from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path, true_reflections, true_view
+from xihe_blender.previs.path_renders import (
+    FrameRenders,
+    kept_renders,
+    render_path,
+    rendering,
+    true_reflections,
+    true_view,
+)
 from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
@@ -33,7 +40,7 @@ from xihenet.invalid import CLAMPED
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.light.key_light import mean_light, split_light, with_positions
 from xihenet.metrics import share_above_white, shc_rmse
-from xihenet.phone import NETWORK, Link, Request
+from xihenet.phone import NETWORK, Link, Request, first_frame_after
 from xihenet.phone_session import PhoneSession
 from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, RgbdFrame, StepReport
 
@@ -150,12 +157,12 @@ class _Walk:
             render_s=rendered.render_s,
             work_s=work_s,
             stage_ms=stage_ms,
-            ambient_radiance=None if seen.ambient is None else results.as_rgb(seen.ambient),
+            ambient_radiance=None if seen.ambient is None else as_rgb(seen.ambient),
             n_invalid_pixels=sum(left_out.values()),
             n_lost_pixels=n_lost,
             invalid=left_out | {reason: n for reason, n in seen.invalid.items() if reason in CLAMPED},
             probes=probes,
-            rendering=results.rendering(seen.frame, rendered.references, run) if run.has_truth else None,
+            rendering=rendering(seen.frame, rendered.references, run) if run.has_truth else None,
         )
 
     def _lights_in_force(self, frame: int, time_s: float) -> Lights:
@@ -213,7 +220,7 @@ class _Walk:
     def _other_lights(self, name: str, time_s: float, truth: ArrayF64 | None) -> dict[str, OtherLight]:
         lights = {other: self.session.light(name, time_s, other) for other in self.run.settings.others}
         return {
-            other: OtherLight(sh=results.as_coefficients(light), shc_rmse=_error(light, truth))
+            other: OtherLight(sh=as_coefficients(light), shc_rmse=_error(light, truth))
             for other, light in lights.items()
         }
 
@@ -222,11 +229,11 @@ class _Walk:
         reference, time_s = self.references.get(probe.name), seen.time_s
         light = self.session.light(probe.name, time_s)
         truth = None if reference is None else reference.of(self.run.settings.target)
-        arrival_frame, latency_ms = results.arrival(request, self.run.phone.times_s)
+        arrival_frame, latency_ms = _arrival(request, self.run.phone.times_s)
         return ProbeResult(
             name=probe.name,
             object=probe.object_name,
-            position_m=results.as_rgb(probe.at(seen.frame)),
+            position_m=as_rgb(probe.at(seen.frame)),
             coverage=report.coverage,
             fired=report.decision.fire,
             reason=report.decision.reason,
@@ -240,18 +247,31 @@ class _Walk:
             unknown_because=report.unknown_because or None,
             light_frame=self.session.light_frame(probe.name, time_s),
             n_followed_anchors=report.n_followed_anchors,
-            light_gain=results.as_rgb(self.session.gain(probe.name, time_s)),
+            light_gain=as_rgb(self.session.gain(probe.name, time_s)),
             payload_bytes=report.payload_bytes,
             arrival_frame=arrival_frame,
             latency_ms=latency_ms,
-            sh=results.as_coefficients(light),
-            sh_truth=None if truth is None else results.as_coefficients(truth),
+            sh=as_coefficients(light),
+            sh_truth=None if truth is None else as_coefficients(truth),
             shc_rmse=_error(light, truth),
             expected_error=finite_or_none(self.session.expected_error(probe.name, time_s)),
             ambient_shc_rmse=_error(self.session.ambient_sh, truth),
             others=self._other_lights(probe.name, time_s, truth),
             share_above_white=None if reference is None else share_above_white(reference.ldr, reference.hdr),
         )
+
+
+def _arrival(request: Request | None, times_s: Mapping[int, float]) -> tuple[int | None, float | None]:
+    """Frame and latency, in ms, of one step's estimate; None without one, for a lost one, or after the last frame.
+
+    `times_s` are those of the path's frames, by number.
+    """
+    if request is None:
+        return None, None
+    frames = list(times_s)
+    index = int(first_frame_after([request.arrival_s], list(times_s.values()))[0])
+    latency_s = request.latency_s
+    return frames[index] if index < len(frames) else None, None if latency_s is None else 1e3 * latency_s
 
 
 def _error(light: ArrayF64, truth: ArrayF64 | None) -> float | None:
