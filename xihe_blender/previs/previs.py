@@ -27,10 +27,11 @@ from xihe_blender.previs.compare_path import compare_path
 from xihe_blender.previs.composite_path import composite_path
 from xihe_blender.previs.kept_session import kept_facts
 from xihe_blender.previs.lit_blend import save_lit_blend
+from xihe_blender.previs.phone_errors import measure_phone
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.recorded_run import prepare_recorded, recorded_session
-from xihe_blender.previs.run_chain import WalkedPath, measure_phone, walk_path
+from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import PrevisSettings, close_backends, load_estimators
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept

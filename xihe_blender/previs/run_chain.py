@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import finite_or_none, write_picture
 from xihe_blender.io.run_lights import as_coefficients, as_rgb
-from xihe_blender.io.run_results import FrameResult, OtherLight, PhoneErrors, ProbeResult
+from xihe_blender.io.run_results import FrameResult, OtherLight, ProbeResult
 from xihe_blender.jobs import Progress
 from xihe_blender.previs.path_renders import (
     FrameRenders,
@@ -34,18 +34,14 @@ from xihe_blender.previs.path_renders import (
 from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.report.values import mean
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.light.key_light import mean_light, split_light, with_positions
 from xihenet.metrics import share_above_white, shc_rmse
-from xihenet.phone import NETWORK, Link, Request, first_frame_after
+from xihenet.phone import Request, first_frame_after
 from xihenet.phone_session import PhoneSession
 from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, RgbdFrame, StepReport
-
-NOT_REPEATED = "frame_rate"
-"""Frames that the phone did not deliver were never captured."""
 
 Lights = dict[str, dict[str, ObjectLight]]
 """By method and virtual object."""
@@ -277,44 +273,3 @@ def _arrival(request: Request | None, times_s: Mapping[int, float]) -> tuple[int
 def _error(light: ArrayF64, truth: ArrayF64 | None) -> float | None:
     """SHC RMSE of coefficients (9, 3); None where there is no truth."""
     return None if truth is None else shc_rmse(light, truth)
-
-
-def measure_phone(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, PhoneErrors | None]:
-    """A job: the errors of a walk with the phone's effects, without each of them, and with a perfect phone.
-
-    Nothing is rendered: the phone sees the captures of the run again, and the whole chain runs on what it saw. So the
-    difference is what a user would gain by a phone without that flaw; since triggers may fire in other frames then, a
-    small one is chance. Rejected: errors of effects alone on a perfect phone, which say nothing of how they add up.
-
-    None for a phone without any effect, and for a recording; an error is None without an active frame.
-    """
-    phone = walked.phone
-    if not phone.on or not run.has_truth:
-        return None
-    captured = [entry for entry in walked.frames if entry.captured]
-    all_on = mean(probe.shc_rmse for entry in captured for probe in entry.probes)
-    without: dict[str, float | None] = {}
-    for effect in [name for name in phone.effects if name in phone.on]:
-        yield run.progress("methods", 1, f"measuring the light without {effect}")
-        link = None if effect == NETWORK else phone.link_in_use
-        effects = phone.on - {effect}
-        without[effect] = None if effect == NOT_REPEATED else _mean_error(run, phone, captured, effects, link)
-    yield run.progress("methods", 1, "measuring the light with a perfect phone")
-    perfect = _mean_error(run, phone, captured, frozenset(), None)
-    return PhoneErrors(all_on=all_on, perfect=perfect, without=without)
-
-
-def _mean_error(
-    run: PreparedRun, phone: SimulatedPhone, captured: Sequence[FrameResult], effects: frozenset[str], link: Link | None
-) -> float | None:
-    """Mean SHC RMSE over probes and frames of a session with `effects` over `link`; None without a frame."""
-    phone = replace(phone, of_camera=effects - {NETWORK})
-    chain = replace(run.settings, light="sh").chain(run.exposure)
-    session = PhoneSession(run.plan.probes, chain, run.estimator, link, seed=run.settings.seed)
-    errors = []
-    for entry in captured:
-        seen, _ = phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
-        truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
-        session.step(seen, truth, list(truth))
-        errors += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
-    return mean(errors)
