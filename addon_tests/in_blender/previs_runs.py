@@ -7,7 +7,7 @@ import bpy
 from tiny_scenes import box, key, light_strength, look_at, material, room_with_a_virtual_sphere
 
 from xihe_blender.apply.datablocks import lights_by_sh
-from xihe_blender.apply.sh_worlds import f_curves
+from xihe_blender.apply.keys import f_curves
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking

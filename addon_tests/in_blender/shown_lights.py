@@ -3,7 +3,8 @@
 import numpy as np
 
 from xihe_blender.apply.datablocks import NODE_GROUP_NAME
-from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, f_curves
+from xihe_blender.apply.keys import f_curves
+from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN
 
 
 def shown_light(world):

@@ -35,7 +35,7 @@ from xihe_blender.addon.run_operators import XIHE_OT_run
 from xihe_blender.addon.run_settings import run_and_show
 from xihe_blender.addon.runs_folder import found_folder, last_run, shown_runs
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
-from xihe_blender.apply.sh_worlds import f_curves
+from xihe_blender.apply.keys import f_curves
 from xihe_blender.compare.side_by_side import middle_of_change, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json

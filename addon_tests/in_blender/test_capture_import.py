@@ -19,7 +19,7 @@ from tiny_scenes import box, empty_scene
 from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, looking, seen, walk
 from xihe_blender.addon.panels import result_rows
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit, show_results
-from xihe_blender.apply.sh_worlds import f_curves
+from xihe_blender.apply.keys import f_curves
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.cli.main import main
 from xihe_blender.compare.side_by_side import read_picture

@@ -22,9 +22,10 @@ from xihe_blender.apply.key_suns import (
     remove_key_sun,
     sun_name,
 )
+from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_timeline import key_object_light
 from xihe_blender.apply.reflection_pictures import PICTURE, is_shiny, light_called_for
-from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, f_curves, make_sh_world
+from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, make_sh_world
 from xihe_blender.apply.shadow_catchers import catcher_name, shadow_catchers
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.compare.methods import REFLECTION_SAMPLES, open_comparer

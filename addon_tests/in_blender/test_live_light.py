@@ -14,8 +14,8 @@ from xihe_blender.addon import live_light
 from xihe_blender.addon.panels import moved_positions
 from xihe_blender.addon.results_in_blender import apply_results
 from xihe_blender.apply.datablocks import LightOf, lit_scene
+from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_scene import ROOM_COPY
-from xihe_blender.apply.sh_worlds import f_curves
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking

@@ -29,13 +29,12 @@ from xihe_blender.apply.datablocks import (
 )
 from xihe_blender.apply.images import as_environment, write_image
 from xihe_blender.apply.key_suns import key_suns, remove_key_sun
+from xihe_blender.apply.keys import clear_keys, hold_keys
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_over_frames, remove_lit_scene
 from xihe_blender.apply.lit_timeline import apply_lights, key_object_light, light_of, reflected_of
 from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
     applied_worlds,
-    clear_keys,
-    hold_keys,
     make_sh_world,
     remove_applied_light,
     remove_trigger_markers,

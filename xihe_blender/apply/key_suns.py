@@ -15,7 +15,7 @@ import bpy
 from mathutils import Vector
 
 from xihe_blender.apply.datablocks import KEY_LIGHT, PREFIX, shortened
-from xihe_blender.apply.sh_worlds import clear_keys, hold_keys, remove_animation
+from xihe_blender.apply.keys import clear_keys, hold_keys, remove_animation
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.records import KeyLight
 

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from xihe_blender.apply.sh_worlds import f_curves
+from xihe_blender.apply.keys import key_values
 from xihenet.io.frame_files import FrameCamera
 from xihenet.records import ArrayF64, Intrinsics
 
@@ -72,23 +72,3 @@ def quaternions(rotations: ArrayF64) -> ArrayF64:
     turns = np.where((found[1:] * found[:-1]).sum(axis=1) < 0, -1.0, 1.0)
     found[1:] *= np.cumprod(turns)[:, None]
     return found
-
-
-def key_values(
-    owner: bpy.types.ID, path: str, frames: Sequence[int], values: ArrayF64, *, is_held: bool = False
-) -> None:
-    """Key a property at `frames`, rising, with `values` (N, K), K of its elements or 1, linear between them.
-
-    With `is_held` only between neighbours: else each holds until the next.
-    """
-    is_array = hasattr(getattr(owner, path), "__len__")
-    setattr(owner, path, values[0].tolist() if is_array else float(values[0, 0]))
-    owner.keyframe_insert(path, frame=frames[0])
-    for curve in [curve for curve in f_curves(owner) if curve.data_path == path]:
-        points = curve.keyframe_points
-        points.add(len(frames) - 1)
-        co = np.stack([np.array(frames, np.float64), values[:, curve.array_index]], axis=1)
-        points.foreach_set("co", co.astype(np.float32).ravel())
-        for point, after in zip(points, np.diff(frames, append=frames[-1]), strict=True):
-            point.interpolation = "CONSTANT" if is_held and after > 1 else "LINEAR"
-        curve.update()

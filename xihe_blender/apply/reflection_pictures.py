@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.apply.datablocks import MADE_BY, NODE_GROUP_NAME
 from xihe_blender.apply.images import as_environment, write_image
-from xihe_blender.apply.sh_worlds import curve_lists, hold_keys
+from xihe_blender.apply.keys import curve_lists, hold_keys
 from xihe_blender.scene.shader_nodes import smoothest_roughness
 from xihenet.light import LightParts
 

@@ -28,6 +28,7 @@ from xihe_blender.apply.datablocks import (
     shortened,
     trigger_markers,
 )
+from xihe_blender.apply.keys import add_keys, clear_keys, f_curves, hold_keys, remove_animation
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.sh import dering_for_display
 
@@ -124,15 +125,12 @@ def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], e
     clear_keys(world.node_tree)
     if not lights:
         return
-    frames = np.array(list(lights), np.float32)
+    frames = list(lights)
     values = np.stack([np.asarray(light, np.float64) for light in lights.values()])
-    key_sh_on_world(world, int(frames[0]), values[0], exposure)
+    key_sh_on_world(world, frames[0], values[0], exposure)
     for index, curve in light_curves(world):
         own = values[:, index, curve.array_index] if index < len(COEFFICIENTS) else np.full(len(frames), 1 / exposure)
-        points = curve.keyframe_points
-        points.add(len(frames) - 1)
-        points.foreach_set("co", np.stack([frames, own], axis=1).astype(np.float32).ravel())
-        curve.update()
+        add_keys(curve, frames, own)
     hold_keys(world.node_tree)
 
 
@@ -167,33 +165,10 @@ def remove_applied_light(scene: bpy.types.Scene) -> None:
         bpy.data.node_groups.remove(group)
 
 
-def remove_animation(owner: bpy.types.ID) -> None:
-    """Take away the keys of `owner`, and their action if nothing else uses it."""
-    action = owner.animation_data.action if owner.animation_data else None
-    owner.animation_data_clear()
-    if action is not None and action.users == 0:
-        bpy.data.actions.remove(action)
-
-
-def clear_keys(owner: bpy.types.ID) -> None:
-    """Take away the keys of `owner`; its action stays, empty, for those that follow.
-
-    An action that goes while a window is open may still be evaluated for a view or a render.
-    """
-    for curves in curve_lists(owner):
-        for curve in list(curves):
-            curves.remove(curve)
-
-
 def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
     """The world that lights each virtual object of `scene`, for those that have one."""
     found = {item.name: _local(bpy.data.worlds, world_name(item.name)) for item in virtual_objects(scene)}
     return {name: world for name, world in found.items() if world is not None}
-
-
-def f_curves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
-    """The F-curves that key `owner`, such as a world, a node tree, an object or a light."""
-    return [curve for curves in curve_lists(owner) for curve in curves]
 
 
 def light_curves(world: bpy.types.World) -> list[tuple[int, bpy.types.FCurve]]:
@@ -204,26 +179,6 @@ def light_curves(world: bpy.types.World) -> list[tuple[int, bpy.types.FCurve]]:
     begin = f'nodes["{NODE_GROUP_NAME}"].inputs['
     curves = [curve for curve in f_curves(world.node_tree) if curve.data_path.startswith(begin)]
     return [(int(curve.data_path[len(begin) :].split("]")[0]), curve) for curve in curves]
-
-
-def hold_keys(owner: bpy.types.ID) -> None:
-    """Keep each keyed value of `owner` until its next key."""
-    for curve in f_curves(owner):
-        for point in curve.keyframe_points:
-            point.interpolation = "CONSTANT"
-
-
-def curve_lists(owner: bpy.types.ID) -> list[Any]:
-    """What holds the F-curves of `owner`: Blender 4.4 moved them into layers and slots, 5.0 left only those."""
-    animation = owner.animation_data
-    if animation is None or animation.action is None:
-        return []
-    action = animation.action
-    # From 4.4 to 4.5 an action also lists the curves of its first slot, which may be another owner's.
-    if not hasattr(action, "layers"):
-        return [action.fcurves]
-    bags = (strip.channelbag(animation.action_slot) for layer in action.layers for strip in layer.strips)
-    return [bag.fcurves for bag in bags if bag is not None]
 
 
 def _local(blocks: bpy.types.bpy_prop_collection, name: str) -> bpy.types.ID | None:

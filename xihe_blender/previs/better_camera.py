@@ -12,9 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
-from mathutils import Matrix
+import numpy as np
 
 from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera
+from xihe_blender.apply.keyed_camera import quaternions
+from xihe_blender.apply.keys import key_values, remove_animation
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
@@ -61,8 +63,11 @@ def add_better_camera(scene: bpy.types.Scene, away: LookAway) -> tuple[bpy.types
     camera = bpy.data.objects.new(BETTER_PATH, data)
     camera[BETTER_PATH] = away.frame
     scene.collection.objects.link(camera)
-    _key_poses(camera, poses, scene.frame_start, metres_per_unit(scene))
-    return camera, scene.frame_start + len(poses) - 1
+    camera.rotation_mode = "QUATERNION"
+    keyed, poses_m = range(scene.frame_start, scene.frame_start + len(poses)), np.stack(poses)
+    key_values(camera, "location", keyed, poses_m[:, :3, 3] / metres_per_unit(scene))
+    key_values(camera, "rotation_quaternion", keyed, quaternions(poses_m[:, :3, :3]))
+    return camera, keyed[-1]
 
 
 def _pose_at(scene: bpy.types.Scene, frame: int) -> ArrayF64:
@@ -70,29 +75,12 @@ def _pose_at(scene: bpy.types.Scene, frame: int) -> ArrayF64:
     return phone_camera(scene)[1]
 
 
-def _key_poses(camera: bpy.types.Object, poses: Sequence[ArrayF64], first: int, metres: float) -> None:
-    camera.rotation_mode = "QUATERNION"
-    before = None
-    for frame, pose in enumerate(poses, start=first):
-        turn = Matrix(pose[:3, :3]).to_quaternion()
-        if before is not None:
-            # Of the two that mean the same, the one that is near: between keys they are mixed.
-            turn.make_compatible(before)
-        camera.location, camera.rotation_quaternion = tuple(pose[:3, 3] / metres), turn
-        for name in ("location", "rotation_quaternion"):
-            camera.keyframe_insert(name, frame=frame)
-        before = turn
-
-
 def remove_better_camera() -> None:
     """Take the camera away, with its data and its keys."""
     camera = better_path_camera()
-    if camera is None:
-        return
-    action = None if camera.animation_data is None else camera.animation_data.action
-    bpy.data.cameras.remove(camera.data)  # With its data the object goes too.
-    if action is not None and not action.users:
-        bpy.data.actions.remove(action)
+    if camera is not None:
+        remove_animation(camera)
+        bpy.data.cameras.remove(camera.data)  # With its data the object goes too.
 
 
 def check_camera_file(path: Path, blend_file: Path) -> None:
