@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import zlib
+from collections.abc import Callable
 from typing import TypeAlias
 
 import bpy
@@ -69,43 +70,33 @@ def number_of(name: str) -> int:
     return zlib.crc32(name.encode()) & 0x7FFFFFFF
 
 
-def estimator_items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
-    return _estimators()
+def _listed(make: Callable[[], list[Item]]) -> Callable[[object, bpy.types.Context | None], list[Item]]:
+    """`make` as Blender calls what lists the items of an enum; it is called once."""
+    made = functools.cache(make)
+
+    def items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
+        return made()
+
+    return items
 
 
-def other_estimator_items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
-    return _other_estimators()
-
-
-def phone_items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
-    return _phones()
-
-
-def network_items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
-    return _networks()
-
-
-def platform_items(_owner: object, _context: bpy.types.Context | None) -> list[Item]:
-    return _platforms()
-
-
-@functools.cache
-def _estimators() -> list[Item]:
+@_listed
+def estimator_items() -> list[Item]:
     from xihenet.estimators import label, names, summary
 
     return [_item(name, label(name), summary(name), "LIGHT_SUN") for name in names()]
 
 
-@functools.cache
-def _other_estimators() -> list[Item]:
+@_listed
+def other_estimator_items() -> list[Item]:
     """Those that can be compared with the chosen one; a bit each, as several may be chosen."""
     always = ("ambient", "truth")
-    items = [item for item in _estimators() if item[0] not in always]
+    items = [item for item in estimator_items(None, None) if item[0] not in always]
     return [(*item[:3], "NONE", 1 << bit) for bit, item in enumerate(items)]
 
 
-@functools.cache
-def _phones() -> list[Item]:
+@_listed
+def phone_items() -> list[Item]:
     from xihenet.phone import load_profile, profile_names
 
     profiles = [(name, load_profile(name)) for name in profile_names()]
@@ -113,15 +104,15 @@ def _phones() -> list[Item]:
     return [*items, _item(FROM_FILE, "From File", "A phone of your own, described in a TOML file", "FILE")]
 
 
-@functools.cache
-def _platforms() -> list[Item]:
+@_listed
+def platform_items() -> list[Item]:
     from xihenet.light.platforms import PLATFORMS
 
     return [_item(name, one.title, "", "EXPORT") for name, one in PLATFORMS.items()]
 
 
-@functools.cache
-def _networks() -> list[Item]:
+@_listed
+def network_items() -> list[Item]:
     from xihenet.phone import LINKS
 
     none = _item(NO_NETWORK, "On the Phone", "Estimates arrive at once, in the frame that they are made from", "BLANK1")

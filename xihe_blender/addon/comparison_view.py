@@ -14,7 +14,7 @@ import bpy
 from xihe_blender.addon.overlay import FONT_PX, LINE, draw_text, text_width
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import last_run
-from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, ROOM, image_named
+from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, image_named, room_of
 from xihe_blender.errors import UserError
 
 MARGIN_PX = 8.0
@@ -25,11 +25,6 @@ def shows_comparison(context: bpy.types.Context) -> bool:
     """Whether the Image Editor of `context` shows the comparison."""
     image = context.space_data.image
     return image is not None and image == image_named(COMPARISON_NAME)
-
-
-def room_of(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """The scene that has the run: `scene`, or the one that it shows the objects of."""
-    return scene.get(ROOM) or scene
 
 
 def draw_labels() -> None:

@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from xihe_blender.addon import polls
-from xihe_blender.addon.comparison_view import room_of
 from xihe_blender.addon.failures import FAILURES, Action, format_error
 from xihe_blender.addon.modal_job import redraw
 from xihe_blender.addon.polls import may_move
 from xihe_blender.addon.properties import last_run_folder
-from xihe_blender.apply.datablocks import LightOf, lights_by_sh
+from xihe_blender.apply.datablocks import LightOf, lights_by_sh, room_of
 from xihe_blender.jobs import run_blocking
 from xihe_blender.scene.virtual_objects import virtual_objects
 

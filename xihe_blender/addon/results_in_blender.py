@@ -25,6 +25,7 @@ from xihe_blender.apply.datablocks import (
     LightOf,
     image_named,
     our_images,
+    room_of,
     trigger_markers,
 )
 from xihe_blender.apply.images import as_environment, write_image
@@ -299,10 +300,10 @@ def remove_everything(scene: bpy.types.Scene) -> None:
 
     Of the other scenes as well: without their worlds their markers would say what is not so.
     """
-    scene = scene.get(ROOM) or scene
+    room = room_of(scene)
     remove_lit_scene()
     remove_placement_map()
-    remove_applied_light(scene)
+    remove_applied_light(room)
     for sun in key_suns():
         remove_key_sun(sun)
     for other in [other for other in bpy.data.scenes if other.library is None]:

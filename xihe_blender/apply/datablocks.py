@@ -122,6 +122,11 @@ def lit_scene() -> bpy.types.Scene | None:
     return next((scene for scene in bpy.data.scenes if ROOM in scene and scene.library is None), None)
 
 
+def room_of(scene: bpy.types.Scene) -> bpy.types.Scene:
+    """The scene that has the run: `scene`, or the one that it shows the objects of."""
+    return scene.get(ROOM) or scene
+
+
 def lights_by_sh(world: bpy.types.World) -> bool:
     """Whether `world` is one of ours: named so and lit by our node group."""
     return world.name.startswith(PREFIX) and world.node_tree is not None and NODE_GROUP_NAME in world.node_tree.nodes

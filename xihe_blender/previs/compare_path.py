@@ -8,7 +8,7 @@ run kept it, taken over from an earlier frame where scene, camera, capture and l
 from __future__ import annotations
 
 import functools
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_lights import as_surface_result
 from xihe_blender.io.run_results import ComparedFrame
-from xihe_blender.jobs import Progress
+from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import Lights, WalkedPath
@@ -37,7 +37,7 @@ MOST_SEEN = 12
 _compared_in = functools.partial(from_json, ComparedFrame)
 
 
-def compare_path(run: PreparedRun, walked: WalkedPath) -> Generator[Progress, None, dict[int, ComparedFrame]]:
+def compare_path(run: PreparedRun, walked: WalkedPath) -> Job[dict[int, ComparedFrame]]:
     """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
     outputs, active = run.outputs, [frame.frame for frame in walked.frames if frame.active]
     frames = compared_frames(active, run.settings.preset_values.comparison_step)

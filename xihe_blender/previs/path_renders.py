@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import copy_whole, finite_or_none, write_json, write_picture
 from xihe_blender.io.run_results import CaptureRender, ProbeRender, Rendering
-from xihe_blender.jobs import Progress
+from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihenet.colour import linear_to_srgb
@@ -194,7 +194,7 @@ def _reference(run: PreparedRun, probe: Probe, frame: int) -> Path:
     return run.outputs.reference(run.plan.probes.index(probe), probe.name, frame)
 
 
-def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
+def render_path(run: PreparedRun) -> Job[dict[int, float]]:
     """A job: render and keep what is not kept yet; seconds of work beside rendering, by frame. Of a recording, whose
     frames are kept before, nothing is rendered."""
     work_s = yield from render_captures(run)
@@ -203,7 +203,7 @@ def render_path(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]
     return work_s
 
 
-def render_captures(run: PreparedRun) -> Generator[Progress, None, dict[int, float]]:
+def render_captures(run: PreparedRun) -> Job[dict[int, float]]:
     """A job: as `render_path`, the captures alone."""
     work_s: dict[int, float] = {}
     missing = [frame for frame in run.plan.frames if frame in run.needs.captured and not _is_captured(run, frame)]

@@ -10,7 +10,7 @@ import contextlib
 import functools
 import itertools
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -22,7 +22,7 @@ from xihe_blender.capture.scanner import meter_exposure
 from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json, kept_or_made
 from xihe_blender.io.outputs import RunOutputs, write_json
-from xihe_blender.jobs import Progress
+from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
@@ -151,7 +151,7 @@ def prepare_run(
     outputs: RunOutputs,
     settings: PrevisSettings,
     loaded: Sequence[Estimator],
-) -> Generator[Progress, None, PreparedRun]:
+) -> Job[PreparedRun]:
     """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too.
 
     `loaded` are the estimators, as `load_estimators` has them.

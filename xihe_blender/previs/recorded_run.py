@@ -8,7 +8,7 @@ light probe and no ground truth: nobody can render the room that the phone was i
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -23,7 +23,7 @@ from xihe_blender.io.json_records import as_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.io.run_results import RecordingResult
-from xihe_blender.jobs import Progress
+from xihe_blender.jobs import Job
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import each_its_own, plan_render_reuse
 from xihe_blender.previs.phone_capture import choose_phone
@@ -117,7 +117,7 @@ def prepare_recorded(
     outputs: RunOutputs,
     recorded: RecordedSession,
     loaded: Sequence[Estimator],
-) -> Generator[Progress, None, PreparedRun]:
+) -> Job[PreparedRun]:
     """A job: as `prepare_run`, with the captures in place; nothing is metered, and no samples are counted."""
     if not outputs.survey.exists():
         write_json(outputs.survey, as_json(survey))
@@ -163,7 +163,7 @@ def seen_by_phone(survey: SceneSurvey, plan: PrevisPlan, frames: Mapping[int, Ca
     )
 
 
-def _keep_captures(run: PreparedRun, recorded: RecordedSession) -> Generator[Progress, None, None]:
+def _keep_captures(run: PreparedRun, recorded: RecordedSession) -> Job[None]:
     """A job: the recording's frames as the captures of a run, where these are not kept yet.
 
     Exposure and white balance that drifted unsaid are followed over the whole recording, as `xihe replay` does it.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import finite_or_none, write_picture
 from xihe_blender.io.run_lights import as_coefficients, as_rgb
 from xihe_blender.io.run_results import FrameResult, OtherLight, ProbeResult
-from xihe_blender.jobs import Progress
+from xihe_blender.jobs import Job
 from xihe_blender.previs.path_renders import (
     FrameRenders,
     kept_renders,
@@ -56,7 +56,7 @@ class WalkedPath:
     lights: dict[int, Lights] = field(default_factory=dict)
 
 
-def walk_path(run: PreparedRun, *, keeps_session: bool = False) -> Generator[Progress, None, WalkedPath]:
+def walk_path(run: PreparedRun, *, keeps_session: bool = False) -> Job[WalkedPath]:
     """A job: render the path of `run`, as far as it is not rendered yet, and run the chain on it.
 
     With `keeps_session` what a phone with flaws saw is kept beside the captures, see `kept_session`.
