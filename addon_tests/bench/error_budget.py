@@ -126,7 +126,7 @@ class Case:
         with scene_kept():
             run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
             run_blocking(render_captures(run))
-        return Session(run, phone_of_captures(run, {}))
+        return Session(run, phone_of_captures(run))
 
     @cached_property
     def anew(self) -> PrevisSettings:

@@ -178,7 +178,7 @@ def _rendered(run: PreparedRun, n_moments: int) -> Job[_Budget]:
     run.outputs.settings.parent.mkdir(parents=True, exist_ok=True)
     keeping = replace(run, needs=replace(run.needs, radiance=True))
     yield from part_of(1, 0, CAPTURE_SHARE, render_captures(keeping))
-    phone = phone_of_captures(run, {})
+    phone = phone_of_captures(run)
     budget = _Budget(run, phone, {probe.name: _moments(run, probe, n_moments) for probe in run.plan.probes})
     yield from part_of(1, CAPTURE_SHARE, LOOK_SHARE, look_around(run, budget.places()))
     yield from part_of(1, CAPTURE_SHARE + LOOK_SHARE, BALL_SHARE, measure_balls(run, budget.balls()))

@@ -92,9 +92,9 @@ def record_session(
     manifest.take()
     with scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, ())
-        work_s = yield from render_captures(run)
+        yield from render_captures(run)
         yield Progress(1, 1, "writing the recording")
-        said = _write(out, _frames(run, work_s), run, wishes.layout)
+        said = _write(out, _frames(run), run, wishes.layout)
         if places:
             yield from _measure_truth(run, places, out, command)
             said.append(f"the true light at {format_count(len(places), 'place')} in {TRUTH_FILE}")
@@ -104,8 +104,8 @@ def record_session(
     return said
 
 
-def _frames(run: PreparedRun, work_s: dict[int, float]) -> Iterator[RgbdFrame]:
-    phone = phone_of_captures(run, work_s)
+def _frames(run: PreparedRun) -> Iterator[RgbdFrame]:
+    phone = phone_of_captures(run)
     for frame in sorted(run.needs.captured):
         seen, _ = phone.see(load_frame(run.outputs.capture(frame)), run.outputs)
         yield seen

@@ -62,30 +62,31 @@ def walk_path(run: PreparedRun, *, keeps_session: bool = False) -> Job[WalkedPat
     With `keeps_session` what a phone with flaws saw is kept beside the captures, see `kept_session`.
     """
     work_s = yield from render_path(run)
-    walk = _Walk(run, phone_of_captures(run, work_s), work_s, keeps_session=keeps_session)
+    start = time.perf_counter()
+    phone = phone_of_captures(run)
+    looked_s = (time.perf_counter() - start) / max(1, len(run.needs.captured))
+    captured_s = {frame: work_s.get(frame, 0.0) + looked_s for frame in run.needs.captured}
+    walk = _Walk(run, phone, captured_s, keeps_session=keeps_session)
     for frame in run.plan.frames:
         walk.step(frame)
     return walk.walked
 
 
-def phone_of_captures(run: PreparedRun, work_s: dict[int, float]) -> SimulatedPhone:
-    """The phone of `run`, of which all is captured; the time it takes to look at that is added to `work_s`."""
-    facts = _facts_of_captures(run, work_s) if run.phone.sees else {}
+def phone_of_captures(run: PreparedRun) -> SimulatedPhone:
+    """The phone of `run`, of which all is captured."""
+    facts = _facts_of_captures(run) if run.phone.sees else {}
     return simulate_phone(run.phone, facts, run.exposure)
 
 
-def _facts_of_captures(run: PreparedRun, work_s: dict[int, float]) -> dict[int, CaptureFacts]:
-    """What the phone will be derived from, by captured frame; the time it takes is added to `work_s`."""
+def _facts_of_captures(run: PreparedRun) -> dict[int, CaptureFacts]:
+    """What the phone will be derived from, by captured frame."""
     facts, metering = {}, run.settings.metering_in_force
-    for frame in run.plan.frames:
-        start = time.perf_counter()
-        if frame in run.needs.captured:
-            surfaces = load_surfaces(run.outputs.surfaces(frame)) if run.needs.surfaces else None
-            radiance = read_radiance(run.outputs.radiance("captured", frame)) if run.needs.radiance else None
-            positions_m = np.array([probe.at(frame) for probe in run.plan.probes])
-            captured = load_frame(run.outputs.capture(frame))
-            facts[frame] = facts_of_capture(captured, positions_m, metering, surfaces, radiance)
-            work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start
+    for frame in [frame for frame in run.plan.frames if frame in run.needs.captured]:
+        surfaces = load_surfaces(run.outputs.surfaces(frame)) if run.needs.surfaces else None
+        radiance = read_radiance(run.outputs.radiance("captured", frame)) if run.needs.radiance else None
+        positions_m = np.array([probe.at(frame) for probe in run.plan.probes])
+        captured = load_frame(run.outputs.capture(frame))
+        facts[frame] = facts_of_capture(captured, positions_m, metering, surfaces, radiance)
     return facts
 
 
@@ -138,7 +139,7 @@ class _Walk:
         probes = tuple(
             self._probe_result(probe, reports[probe.name], requests.get(probe.name), seen) for probe in in_view
         )
-        work_s = time.perf_counter() - start + self.captured_s.get(seen.frame, 0.0)
+        work_s = time.perf_counter() - start + self.captured_s[seen.frame]
         stage_ms: dict[str, float] = defaultdict(float)
         for of_position in (self.session.controller.out_of_view_ms, *(one.stage_ms for one in reports.values())):
             for stage, ms in of_position.items():
