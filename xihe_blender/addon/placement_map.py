@@ -121,7 +121,7 @@ class XIHE_OT_remove_map(Action, bpy.types.Operator):
 def format_place(item: bpy.types.Object, index: int) -> str:
     """One line about the place of a face of the map."""
     place = shown_place(item, index)
-    if place.expected_error is None:
+    if place.expected_error is None or place.irradiance is None:
         return f"coverage {place.coverage:.0%}, light unknown"
     red, green, blue = place.irradiance
     light = f"estimated irradiance {red:.2g} {green:.2g} {blue:.2g}"

@@ -136,25 +136,16 @@ def remove_placement_map() -> None:
         item = placement_map()
 
 
-@dataclass(frozen=True)
-class ShownPlace:
-    """What the map says of one place; `position_m` in the world, `irradiance` scene radiance x sr."""
-
-    position_m: tuple[float, float, float]
-    coverage: float
-    expected_error: float | None
-    irradiance: tuple[float, float, float]
-
-
-def shown_place(item: bpy.types.Object, index: int) -> ShownPlace:
-    """The place of face `index` of the map."""
+def shown_place(item: bpy.types.Object, index: int) -> Place:
+    """The place of face `index` of the map, as far as the map says it."""
     mesh, attributes = item.data, item.data.attributes
     x, y, z = (number * metres_per_unit(bpy.context.scene) for number in mesh.polygons[index].center)
     error = attributes["expected_error"].data[index].value
+    is_known = error != UNKNOWN_ERROR
     red, green, blue = attributes["irradiance"].data[index].vector
-    return ShownPlace(
-        (x, y, z - LIFT_M + MapOf.read(mesh).clearance_m),
-        attributes["coverage"].data[index].value,
-        None if error == UNKNOWN_ERROR else error,
-        (red, green, blue),
+    return Place(
+        position_m=(x, y, z - LIFT_M + MapOf.read(mesh).clearance_m),
+        coverage=attributes["coverage"].data[index].value,
+        expected_error=error if is_known else None,
+        irradiance=(red, green, blue) if is_known else None,
     )

@@ -68,11 +68,6 @@ class PlacementResults(PathResults):
         """The places with an expected error, in its order."""
         return [self.places[index] for index in best_first(self.places)]
 
-    @property
-    def error_range(self) -> tuple[float, float]:
-        """As the function of this name."""
-        return error_range(self.places)
-
 
 def best_first(places: Sequence[Place]) -> list[int]:
     """Indices of the places with an expected error, in its order."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.io.outputs import write_picture
-from xihe_blender.io.placement_results import N_EXTREMES, PlacementResults, best_first
+from xihe_blender.io.placement_results import N_EXTREMES, PlacementResults, best_first, error_range
 from xihe_blender.previs.room_from_above import WIDTH_PX, RoomFromAbove
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
 from xihenet.metering import LUMINANCE
@@ -50,7 +50,8 @@ class Painter:
 
     def __init__(self, results: PlacementResults) -> None:
         self.positions = np.array([place.position_m for place in results.places])
-        self.colours = np.array([place.colour(results.error_range) for place in results.places])
+        shown = error_range(results.places)
+        self.colours = np.array([place.colour(shown) for place in results.places])
         ordered = best_first(results.places)
         self.best, self.worst = ordered[:N_EXTREMES], ordered[::-1][:N_EXTREMES]
         self.spacing_m, self.clearance_m = results.spacing_m, results.clearance_m

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from xihe_blender.io.placement_results import ENOUGH, N_EXTREMES, RAMP, Place, PlacementResults
+from xihe_blender.io.placement_results import ENOUGH, N_EXTREMES, RAMP, Place, PlacementResults, error_range
 from xihe_blender.report.document import document, png_url, table, write_document
 from xihe_blender.report.values import escape
 from xihenet.formats import format_count
@@ -17,7 +17,7 @@ from xihenet.formats import format_count
 
 def write_placement_report(path: Path, results: PlacementResults, pictures: Sequence[Path]) -> None:
     """One self-contained page."""
-    low, high = results.error_range
+    low, high = error_range(results.places)
     ramp = ", ".join(f"rgb({r}, {g}, {b})" for r, g, b in RAMP)
     legend = (
         f'<p>Expected error (SHC RMSE) {low:.3f} <span style="display: inline-block; width: 12em; height: 0.8em; '
