@@ -9,6 +9,7 @@ are simply done again, so a resumed run has the numbers of an undisturbed one.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.io.run_lights import last_surfaces
-from xihe_blender.io.run_results import FrameResult, RunResults
+from xihe_blender.io.run_results import FrameResult, LightChange, RunResults
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
 from xihe_blender.previs.compare_path import compare_path
@@ -88,14 +89,11 @@ def previs(
         else:
             run = yield from prepare_recorded(scene, plan, survey, outputs, recorded, loaded)
         walked = yield from walk_path(run, keeps_session=True)
-        frames = yield from _with_pictures(run, walked)
+        frames = yield from _compared(run, walked)
         errors = yield from measure_phone(run, walked)
     close_backends(loaded)
     yield run.progress("methods", 1, "applying the light and writing the report")
-    estimated = {frame: methods[settings.estimator] for frame, methods in walked.lights.items()}
-    changes = results.light_changes(plan.objects, estimated, outputs, run.exposure)
-    apply_lights(scene, changes, walked.frames, run.exposure, outputs.folder, has_key_light=run.settings.has_key_light)
-    save_lit_blend(scene, plan.objects, last_surfaces(frames), outputs.lit_blend)
+    changes = _apply(run, walked, frames)
     found = results.assemble(
         run,
         frames,
@@ -114,10 +112,20 @@ def previs(
     return content
 
 
-def _with_pictures(run: PreparedRun, walked: WalkedPath) -> Job[list[FrameResult]]:
+def _compared(run: PreparedRun, walked: WalkedPath) -> Job[list[FrameResult]]:
     """A job: the frames of a walk beside their ground truth or, where there is none, over the recording."""
     if run.has_truth:
         compared = yield from compare_path(run, walked)
         return [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
     composited = yield from composite_path(run, walked)
     return [replace(frame, composited=composited.get(frame.frame, {})) for frame in walked.frames]
+
+
+def _apply(run: PreparedRun, walked: WalkedPath, frames: Sequence[FrameResult]) -> dict[str, tuple[LightChange, ...]]:
+    """Put the estimated light onto the timeline, and save a copy of the file that shows it; the light by object."""
+    estimated = {frame: methods[run.settings.estimator] for frame, methods in walked.lights.items()}
+    changes = results.light_changes(run.plan.objects, estimated, run.outputs, run.exposure)
+    has_key_light = run.settings.has_key_light
+    apply_lights(run.scene, changes, walked.frames, run.exposure, run.outputs.folder, has_key_light=has_key_light)
+    save_lit_blend(run.scene, run.plan.objects, last_surfaces(frames), run.outputs.lit_blend)
+    return changes
