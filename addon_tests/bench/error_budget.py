@@ -41,7 +41,7 @@ from mathutils import Matrix
 from xihe_blender.capture import all_around
 from xihe_blender.capture.reference_probe import CONE
 from xihe_blender.capture.render import RenderSettings, render_passes, stacked_rgb, working_scene
-from xihe_blender.capture.scanner import leave_out_virtual_objects, phone_camera
+from xihe_blender.capture.scanner import phone_camera, working_room
 from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.budget_results import BudgetResults, ObjectBudget
 from xihe_blender.io.exr import read_radiance
@@ -276,8 +276,7 @@ def true_ball(case: Case, probe_m: np.ndarray, frame: int) -> tuple[np.ndarray, 
     scene = opened(case.file)
     settings = RenderSettings((48, 48), BALL_SAMPLES, case.seed, denoise=False)
     normals, shown, weights = [], [], []
-    with working_scene(scene, "Ball", settings) as working:
-        leave_out_virtual_objects(working, scene)
+    with working_room(scene, "Ball", settings) as working:
         metres = metres_per_unit(scene)
         mesh = sphere_mesh("Satin", BALL_RADIUS_M / metres, 256, 128)
         mesh.materials.append(satin_material())

@@ -25,8 +25,8 @@ import numpy as np
 from mathutils import Matrix
 
 from xihe_blender.capture.reference_probe import open_reference_probe
-from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes, working_scene
-from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects, meter_exposure
+from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes
+from xihe_blender.capture.scanner import first_layer, meter_exposure, working_room
 from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
@@ -110,8 +110,7 @@ def clipped_light(scene, place, frame, exposure, turn):
     light of one direction and not the mean of many.
     """
     total, whole = np.zeros((9, 3)), 0.0
-    with working_scene(scene, "Cube", RenderSettings((ACROSS, ACROSS), VIEW_SAMPLES, 77, denoise=False)) as working:
-        leave_out_virtual_objects(working, scene)
+    with working_room(scene, "Cube", RenderSettings((ACROSS, ACROSS), VIEW_SAMPLES, 77, denoise=False)) as working:
         working.timeline_markers.clear()
         working.cycles.pixel_filter_type, working.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
         camera = bpy.data.objects.new("Cube", bpy.data.cameras.new("Cube"))

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import RenderSettings, render_only_part, working_scene
-from xihe_blender.capture.scanner import CyclesScanner, leave_out_virtual_objects, phone_camera
+from xihe_blender.capture.render import RenderSettings, render_only_part
+from xihe_blender.capture.scanner import CyclesScanner, phone_camera, working_room
 from xihe_blender.scene.sphere_rig import MIRROR, RIG_LOOKS, rig_material, sphere_mesh
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import part_around
@@ -61,10 +61,9 @@ def open_mirror_sphere(scene: bpy.types.Scene, settings: RenderSettings) -> Iter
     """A mirror sphere in the room of `scene`, virtual objects left out, seen in a picture `FINER` than `settings`."""
     width, height = (round(FINER * side) for side in settings.size)
     with (
-        working_scene(scene, NAME, replace(settings, size=(width, height))) as working,
+        working_room(scene, NAME, replace(settings, size=(width, height))) as working,
         contextlib.ExitStack() as stack,
     ):
-        leave_out_virtual_objects(working, scene)
         mesh = sphere_mesh(NAME, RADIUS_M / metres_per_unit(scene), 128, 64)
         stack.callback(bpy.data.meshes.remove, mesh)
         material = rig_material(NAME, RIG_LOOKS[MIRROR])

@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihe_blender.capture.light_links import joined_light_links
-from xihe_blender.capture.render import MAX_SEED, Rendered, RenderSettings, render_passes, stacked_rgb, working_scene
-from xihe_blender.capture.scanner import leave_out_virtual_objects
+from xihe_blender.capture.render import MAX_SEED, Rendered, RenderSettings, render_passes, stacked_rgb
+from xihe_blender.capture.scanner import working_room
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.state import show_to_camera_alone
@@ -351,8 +351,7 @@ def open_reference_probe(
     rendering = RenderSettings(
         (settings.size, settings.size), 1, settings.seed, settings.denoise, settings.light_transport
     )
-    with working_scene(scene, NAME, rendering) as working, contextlib.ExitStack() as stack:
-        leave_out_virtual_objects(working, scene)
+    with working_room(scene, NAME, rendering) as working, contextlib.ExitStack() as stack:
         # Markers that switch the camera would take the probe's place.
         working.timeline_markers.clear()
         layer = working.view_layers[0]

@@ -82,16 +82,18 @@ class CyclesScanner:
 @contextlib.contextmanager
 def open_scanner(scene: bpy.types.Scene, settings: RenderSettings) -> Iterator[CyclesScanner]:
     """A scanner of the room in `scene` as the phone sees it: virtual objects are left out."""
-    with working_scene(scene, SCENE_NAME, settings) as working:
-        leave_out_virtual_objects(working, scene)
+    with working_room(scene, SCENE_NAME, settings) as working:
         yield CyclesScanner(working)
 
 
-def leave_out_virtual_objects(working: bpy.types.Scene, scene: bpy.types.Scene) -> None:
-    """Render only the room in `working`, a copy of `scene`."""
-    collection = virtual_collection(scene)
-    if collection is not None:
-        exclude_collection(working.view_layers[0].layer_collection, collection)
+@contextlib.contextmanager
+def working_room(scene: bpy.types.Scene, name: str, settings: RenderSettings) -> Iterator[bpy.types.Scene]:
+    """As `working_scene`, without the virtual objects."""
+    with working_scene(scene, name, settings) as working:
+        collection = virtual_collection(scene)
+        if collection is not None:
+            exclude_collection(working.view_layers[0].layer_collection, collection)
+        yield working
 
 
 def first_layer(rendered: Rendered) -> tuple[ArrayF32, ArrayF32]:

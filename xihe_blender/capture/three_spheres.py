@@ -14,8 +14,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
-from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects
+from xihe_blender.capture.render import RenderSettings, render_passes
+from xihe_blender.capture.scanner import first_layer, working_room
 from xihe_blender.scene.sphere_rig import RIG_LOOKS, rig_material, sphere_mesh
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.light.light_picture import sphere_mask
@@ -64,10 +64,9 @@ def open_three_spheres(
     Other `looks`, inputs of the shader by name, take the place of the three, in their order; all are white.
     """
     with (
-        working_scene(scene, NAME, replace(settings, size=(size, size))) as working,
+        working_room(scene, NAME, replace(settings, size=(size, size))) as working,
         contextlib.ExitStack() as stack,
     ):
-        leave_out_virtual_objects(working, scene)
         working.timeline_markers.clear()  # Those that switch the camera would take this one's place.
         radius = RADIUS_M / metres_per_unit(scene)
         mesh = sphere_mesh(NAME, radius, 128, 64)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import math
 import re
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
@@ -16,6 +17,7 @@ from xihenet.io.frame_files import BLENDER_FROM_UP
 from xihenet.phone import LINKS, profile_names
 
 MAX_FRAME = 1048574
+Position = tuple[float, float, float]
 Settings = TypeVar("Settings")
 
 
@@ -78,6 +80,17 @@ def picture_size(text: str) -> tuple[int, int]:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a picture size: give WxH, such as 256x192")
     return int(match[1]), int(match[2])
+
+
+def position(text: str) -> Position:
+    """Three finite numbers of "X,Y,Z"."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a position: give X,Y,Z in metres, such as 0.5,1.2,0.8")
+    return x, y, z
 
 
 def names(text: str) -> tuple[str, ...]:

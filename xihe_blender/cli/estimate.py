@@ -9,14 +9,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import adder, one_of
+from xihe_blender.cli.arguments import Position, adder, one_of, position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, written_whole
 from xihenet import __version__, estimators
@@ -37,8 +36,6 @@ SCHEMA_VERSION = 1
 MAX_ANCHORS = 65536
 BEHIND = 1.1
 """A position at more than so many times the distance of what is seen there lies behind it: sensors err by less."""
-
-Position = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,17 +79,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--dering", dering, action="store_true")
     add("--json", "print JSON and nothing else on stdout", action="store_true")
     add("--out DIR", out, Path)
-
-
-def position(text: str) -> Position:
-    """Three finite numbers of "X,Y,Z"."""
-    try:
-        x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        x = y = z = math.nan
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a position: give X,Y,Z in metres, such as 0.5,1.2,0.8")
-    return x, y, z
 
 
 def estimate_from_files(options: argparse.Namespace) -> tuple[RgbdFrame, dict[str, Any], list[PlacedEstimate]]:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from xihe_blender.cli import arguments
-from xihe_blender.cli.estimate import position
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
@@ -28,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
     add("--as LAYOUT", LAYOUT, choices=("xihe", *WRITERS), default="xihe", dest="layout")
     add("--truth", TRUTH, action="store_true", dest="has_truth")
-    add("--at X,Y,Z", PLACES, position, action="append", dest="at_m", default=[])
+    add("--at X,Y,Z", PLACES, arguments.position, action="append", dest="at_m", default=[])
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

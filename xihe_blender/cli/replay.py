@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import BACKEND, BETWEEN, add_recording, adder, one_of
-from xihe_blender.cli.estimate import position
+from xihe_blender.cli.arguments import BACKEND, BETWEEN, add_recording, adder, one_of, position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
 from xihe_blender.io.run_lights import write_lights

@@ -49,7 +49,7 @@ from xihe_blender.capture.render import (
     stacked_rgb,
     working_scene,
 )
-from xihe_blender.capture.scanner import first_layer, leave_out_virtual_objects
+from xihe_blender.capture.scanner import first_layer, working_room
 from xihe_blender.compare.shadows import (
     BRIGHTEST,
     SHADOW_CHANNELS,
@@ -335,10 +335,9 @@ def open_comparer(
             if has_key_light:
                 suns[key] = make_key_sun(f"{PREFIX}{layer} Key Light")
                 stack.callback(remove_key_sun, suns[key])
-        truth = stack.enter_context(working_scene(scene, GROUND_TRUTH_SCENE, settings))
+        truth = stack.enter_context(working_room(scene, GROUND_TRUTH_SCENE, settings))
         # The same objects as in the methods' pictures: no others, no lamp beside them, and however their collection is
         # hidden.
-        leave_out_virtual_objects(truth, scene)
         for item in objects:
             truth.collection.objects.link(item)
         stack.callback(remove_lit_collections)

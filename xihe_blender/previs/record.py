@@ -42,7 +42,6 @@ from xihenet.records import RgbdFrame
 WORK = "a recording"
 TRUTH_FILE = "truth.json"
 OURS = "xihe"
-LAYOUTS = (OURS, *WRITERS)
 LOSSY, COLOUR_SCALE = ("record3d", "stray"), 4
 """JPEG and video mix the colours of neighbours: as on a phone, colour has more pixels than depth there."""
 RECORD3D_FILE = "recording.r3d"
@@ -54,7 +53,7 @@ class RecordWishes:
 
     Parameters
     ----------
-    layout : one of LAYOUTS: our own, or that of another app or data set
+    layout : OURS, or that of another app or data set, one of WRITERS
     has_truth : whether the true light is rendered
     at_m : (x, y, z) world, metres, of where; empty takes the virtual objects' estimation positions
     """
