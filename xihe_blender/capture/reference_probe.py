@@ -53,9 +53,6 @@ CONE = 0.4
 """Size of the `Toon` closure, half the cone's angle over a right angle: 36 degrees, of which l = 2 keeps 0.73. A wider
 cone catches a lamp in more pixels, a narrower one keeps more of l = 2 where indirect light is noisy."""
 
-TURNED_OVER = np.array([1, -1, -1, 1, -1, 1, 1, -1, 1])
-"""(9,) what becomes of coefficients when the world is turned by half a turn about X: y and z change their sign."""
-
 CONE_SEGMENTS = 128
 """Of the ball around the camera: with 64 its normals cost 0.4 %."""
 
@@ -295,16 +292,29 @@ def _mean_and_noise(lights: ArrayF64) -> tuple[ArrayF64, float | None]:
 
 
 def lights_of_cones(pictures: Sequence[ArrayF32]) -> ArrayF64:
-    """(n, 9, 3) radiance coefficients of the light that each picture of cones (N, N, 3) was made of.
+    """(n, 9, 3) radiance coefficients of the light that each picture of cones was made of; see `means_over_cones`."""
+    return means_over_cones(pictures) / cone_factors()[:, None]
 
-    Every other one is turned over. A picture and the one beside it tell each other what lies on their rims.
+
+def means_over_cones(pictures: Sequence[ArrayF32], order: int = 2) -> ArrayF64:
+    """(n, (order + 1)^2, 3) coefficients of what each picture of cones (N, N, 3) shows, every other one turned over.
+
+    The mean that is seen in a direction is that of the light around the opposite one. A picture and the one beside it
+    tell each other what lies on their rims.
     """
-    lights = []
+    means = []
     for number, picture in enumerate(pictures):
         beside = number ^ 1 if number ^ 1 < len(pictures) else number - 1
-        light = project_mirror_ball(picture, turned=pictures[beside] if beside >= 0 else None)
-        lights.append(light * (TURNED_OVER[:, None] if number % 2 else 1))
-    return np.divide(lights, cone_factors()[:, None])
+        seen = project_mirror_ball(picture, order, turned=pictures[beside] if beside >= 0 else None)
+        means.append(seen * (turned_over(order)[:, None] if number % 2 else 1))
+    return np.array(means)
+
+
+@cache
+def turned_over(order: int) -> ArrayF64:
+    """((order + 1)^2,) what becomes of coefficients when the world is turned by half a turn about X."""
+    indices = [(band, m) for band in range(order + 1) for m in range(-band, band + 1)]
+    return np.array([(-1.0) ** (band + m) * (-1 if m < 0 else 1) for band, m in indices])
 
 
 @cache
