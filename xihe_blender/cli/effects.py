@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,15 @@ from xihe_blender.cli.arguments import EFFECT, FRAMES, NETWORK, PHONES, SCENE, a
 from xihe_blender.cli.progress import progress_line, when_news
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
+from xihenet.effects import Change, Effect, EffectCost, effects_as_json
+from xihenet.formats import format_setting
+
+REASON_WIDTH = 60
+COST_HEADER = f"{'effect':<20}  {'cost':<12}  {'light':<16}  picture"
+COST_LEGEND = """
+The column "cost" is the render time that the effect adds. The columns "light" and "picture" are how much the mean
+radiance of the light probe and of the phone's picture changes when the effect is left out. Each figure has its
+standard error after it: a figure within two standard errors of zero may be chance."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,29 +40,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     """Print the plan, measure if asked to, and print each cost as it is known; or JSON in the end."""
     from xihe_blender.light_transport.overrides import parsed_overrides
-    from xihe_blender.previs import required_effects
+    from xihe_blender.previs.required_effects import effects_of_run
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.blend_file import open_blend
-    from xihenet.effects import Effect, effects_as_json
 
     def show(text: str) -> None:
         if not options.json:
             print(text, file=stdout, flush=True)
 
     def show_plan(effects: dict[str, Effect]) -> None:
-        header = "" if options.plan_only else f"\n\n{required_effects.COST_HEADER}"
-        show(required_effects.format_effects(effects) + header)
+        header = "" if options.plan_only else f"\n\n{COST_HEADER}"
+        show(format_effects(effects) + header)
 
     if not options.budget > 0:
         raise UserError("--budget: expected a number of seconds above 0")
     settings = settings_from(options, PrevisSettings, effect_choices=parsed_overrides(options.overrides))
-    job = required_effects.effects_of_run(
+    job = effects_of_run(
         open_blend(options.scene),
         settings,
         is_measured=not options.plan_only,
         budget_s=options.budget,
         on_planned=show_plan,
-        on_cost=lambda name, cost: show(required_effects.format_cost(name, cost)),
+        on_cost=lambda name, cost: show(format_cost(name, cost)),
     )
     effects = run_blocking(job, when_news(progress_line(stderr)))
     if options.json:
@@ -59,4 +69,30 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     elif not options.plan_only:
         late = [name for name, effect in effects.items() if effect.cost is None and effect.is_switchable]
         lines = [f"\n{name}: not measured within the budget of {options.budget:g} s" for name in late]
-        show("".join(lines) + required_effects.COST_LEGEND)
+        show("".join(lines) + COST_LEGEND)
+
+
+def format_effects(effects: Mapping[str, Effect]) -> str:
+    """A line or more per effect: name, state (with * for a user's override), reason, settings."""
+    rows = [("effect", "state", "why", "set to"), *(row for effect in effects.values() for row in _rows(effect))]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    padded = ([cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows)
+    return "\n".join("  ".join(row).rstrip() for row in padded)
+
+
+def _rows(effect: Effect) -> list[tuple[str, ...]]:
+    """The reason over as many lines as it takes, all else on the first of them."""
+    first, *more = textwrap.wrap(effect.reason, REASON_WIDTH)
+    state = effect.state + ("*" if effect.origin == "user" else "")
+    settings = ", ".join(f"{name} {format_setting(value)}" for name, value in effect.parameters.items())
+    return [(effect.name, state, first, settings), *(("", "", line, "") for line in more)]
+
+
+def format_cost(name: str, cost: EffectCost) -> str:
+    """One row under COST_HEADER; COST_LEGEND says what it means."""
+    time = f"{cost.time_share:+.0%} ± {cost.time_standard_error:.0%}"
+    return f"{name:<20}  {time:<12}  {_format_change(cost.light):<16}  {_format_change(cost.picture)}"
+
+
+def _format_change(change: Change | None) -> str:
+    return "-" if change is None else f"{change.relative:+.1%} ± {change.standard_error:.1%}"

@@ -1,4 +1,4 @@
-"""Effects that a run of this scene would simulate, before there is one, with what each costs; and their table.
+"""Effects that a run of this scene would simulate, before there is one, with what each costs.
 
 A run plans those of its phone from its captures; see `phone_capture`. So the path is captured here as well, with few
 samples: distances, edges and angles do not depend on their number, and brightness hardly. What needs no capture (how
@@ -8,8 +8,7 @@ nothing may be rendered, as in the panel: what only a capture could rule out the
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import bpy
@@ -29,16 +28,9 @@ from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_objects
-from xihenet.effects import Change, Effect, EffectCost, plan_effects
-from xihenet.formats import format_setting
+from xihenet.effects import Effect, EffectCost, plan_effects
 
 N_SAMPLES = 4
-REASON_WIDTH = 60
-COST_HEADER = f"{'effect':<20}  {'cost':<12}  {'light':<16}  picture"
-COST_LEGEND = """
-The column "cost" is the render time that the effect adds. The columns "light" and "picture" are how much the mean
-radiance of the light probe and of the phone's picture changes when the effect is left out. Each figure has its
-standard error after it: a figure within two standard errors of zero may be chance."""
 
 
 def effects_of_run(
@@ -136,29 +128,3 @@ def _facts(
                 radiance = first_layer(rendered)[0] if needs.radiance else None
                 facts[frame] = facts_of_capture(captured, positions_m, metering, surfaces, radiance)
     return facts
-
-
-def format_effects(effects: Mapping[str, Effect]) -> str:
-    """A line or more per effect: name, state (with * for a user's override), reason, settings."""
-    rows = [("effect", "state", "why", "set to"), *(row for effect in effects.values() for row in _rows(effect))]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    padded = ([cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in rows)
-    return "\n".join("  ".join(row).rstrip() for row in padded)
-
-
-def _rows(effect: Effect) -> list[tuple[str, ...]]:
-    """The reason over as many lines as it takes, all else on the first of them."""
-    first, *more = textwrap.wrap(effect.reason, REASON_WIDTH)
-    state = effect.state + ("*" if effect.origin == "user" else "")
-    settings = ", ".join(f"{name} {format_setting(value)}" for name, value in effect.parameters.items())
-    return [(effect.name, state, first, settings), *(("", "", line, "") for line in more)]
-
-
-def format_cost(name: str, cost: EffectCost) -> str:
-    """One row under COST_HEADER; COST_LEGEND says what it means."""
-    time = f"{cost.time_share:+.0%} ± {cost.time_standard_error:.0%}"
-    return f"{name:<20}  {time:<12}  {_format_change(cost.light):<16}  {_format_change(cost.picture)}"
-
-
-def _format_change(change: Change | None) -> str:
-    return "-" if change is None else f"{change.relative:+.1%} ± {change.standard_error:.1%}"
