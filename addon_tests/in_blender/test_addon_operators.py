@@ -236,7 +236,7 @@ def test_the_rig_stands_at_the_cursor():
 
 
 def rows(scene):
-    return {row.name: (row.state, row.origin) for row in scene.xihe.effects}
+    return {row.name: (row.state, "auto" if row.override == "AUTO" else "user") for row in scene.xihe.effects}
 
 
 def assert_rows_are_those_of_a_run(scene, **settings):

@@ -9,7 +9,6 @@ from renders import rendered
 from tiny_scenes import empty_scene, material, orthographic, sphere
 
 from xihe_blender.apply.applied_lights import lights_of_scene
-from xihe_blender.apply.images import as_environment
 from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.reflection_pictures import (
@@ -24,6 +23,7 @@ from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_p
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.run_lights import LightsAsked
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.light.environments import laid_out
 from xihenet.light.reflections import reflection_panorama, without_key_light
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions
@@ -147,7 +147,7 @@ def test_pictures_take_turns_on_the_timeline(tmp_path):
     """The second file comes first; keys are constant, and go with the picture while those of the light stay."""
     files = [tmp_path / f"0_Ball_{number:04d}.exr" for number in (1, 2)]
     for path, side in zip(files, SIDES.values(), strict=False):
-        write_radiance(path, as_environment(np.broadcast_to(np.float32(side), (16, 32, 3))))
+        write_radiance(path, laid_out(np.broadcast_to(np.float32(side), (16, 32, 3)), "+X"))
     scene, _ = shown(mirror)
     key_light_changes(scene.world, {1: FLAT, 7: 2 * FLAT}, 1.0)
     reflect_on_timeline(scene.world, {3: files[1], 8: files[0]})

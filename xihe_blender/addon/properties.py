@@ -91,10 +91,6 @@ def _state(row: XiheEffectRow) -> str:
     return str(row.required if row.override == "AUTO" else row.override.lower())
 
 
-def _origin(row: XiheEffectRow) -> str:
-    return "auto" if row.override == "AUTO" else "user"
-
-
 class XiheEffectRow(bpy.types.PropertyGroup):
     """An effect of light transport; `name` is the effect's."""
 
@@ -110,7 +106,6 @@ class XiheEffectRow(bpy.types.PropertyGroup):
         update=_override_changed,
     )
     state: bpy.props.StringProperty(name="State", description="What a run does: on or off", get=_state)
-    origin: bpy.props.StringProperty(name="Origin", description="Who decided: auto for the scene, or user", get=_origin)
 
 
 class XiheSceneSettings(bpy.types.PropertyGroup):

@@ -28,7 +28,7 @@ from xihe_blender.apply.datablocks import (
     room_of,
     trigger_markers,
 )
-from xihe_blender.apply.images import as_environment, write_image
+from xihe_blender.apply.images import write_image
 from xihe_blender.apply.key_suns import key_suns, remove_key_sun
 from xihe_blender.apply.keys import clear_keys, hold_keys
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_over_frames, remove_lit_scene
@@ -52,6 +52,7 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.io.frame_files import FrameCamera
 from xihenet.io.recording import read_header
 from xihenet.kept_walk import FoundLight
+from xihenet.light.environments import laid_out
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
 from xihenet.records import ArrayF64, ObjectLight
@@ -238,7 +239,7 @@ def show_light(name: str, sh_radiance: ArrayF64) -> bpy.types.Image:
     Laid out as Blender's Environment Texture reads it, so that it lights a world as it lit the object.
     """
     panorama = evaluate_panorama(sh_radiance, LIGHT_HEIGHT, 2 * LIGHT_HEIGHT)
-    return write_image(f"{LIGHT_PREFIX}{name}", as_environment(panorama), is_float=True)
+    return write_image(f"{LIGHT_PREFIX}{name}", laid_out(panorama, "+X"), is_float=True)
 
 
 def show_comparison(folder: Path, frame: int, wipe: float) -> bpy.types.Image | None:

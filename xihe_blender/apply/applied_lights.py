@@ -41,7 +41,6 @@ def lights_of_scene(scene: bpy.types.Scene, asked: LightsAsked) -> list[NamedLig
 
 def _key_at(sun: bpy.types.Object, frame: int, exposure: float) -> KeyLight | None:
     light = sun.data
-    assert isinstance(light, bpy.types.SunLight)
     values = {
         "rotation_quaternion": [*sun.rotation_quaternion],
         "color": [*light.color],

@@ -9,7 +9,7 @@ from xihe_blender.apply.datablocks import MADE_BY, image_named
 from xihenet.records import ArrayF32, ArrayF64
 
 
-def write_image(name: str, picture: ArrayF32, *, is_float: bool) -> bpy.types.Image:
+def write_image(name: str, picture: ArrayF32 | ArrayF64, *, is_float: bool) -> bpy.types.Image:
     """Put (H, W, 3), row 0 at the top, into our image `name`, and pack it: what is only generated is not saved."""
     height, width, _ = picture.shape
     image = image_named(name)
@@ -24,12 +24,3 @@ def write_image(name: str, picture: ArrayF32, *, is_float: bool) -> bpy.types.Im
     image.update()
     image.pack()
     return image
-
-
-def as_environment(panorama: ArrayF32 | ArrayF64) -> ArrayF32:
-    """(H, 2H, 3) float32, as Blender's Environment Texture reads it, of a panorama as in `xihenet.panorama`.
-
-    The panorama has +Y in its middle and +X a quarter to the right, an Environment Texture +X and -Y.
-    """
-    turned: ArrayF32 = np.roll(panorama, -panorama.shape[1] // 4, axis=1).astype(np.float32)
-    return turned

@@ -41,7 +41,6 @@ def sun_name(virtual_object: str) -> str:
 def apply_key_to_sun(sun: bpy.types.Object, key: KeyLight | None, exposure: float = 1.0) -> None:
     """Let `sun`, made by `make_key_sun`, shine as `key`, which carries `exposure`; None lets it not shine at all."""
     light = sun.data
-    assert isinstance(light, bpy.types.SunLight)
     light.energy = 0.0
     if key is not None and key.irradiance.max() > 0:
         # A sun shines along its -Z.

@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihe_blender.apply.datablocks import MADE_BY, NODE_GROUP_NAME
-from xihe_blender.apply.images import as_environment, write_image
+from xihe_blender.apply.images import write_image
 from xihe_blender.apply.keys import curve_lists, hold_keys
 from xihe_blender.scene.shader_nodes import smoothest_roughness
 from xihenet.light import LightParts
+from xihenet.light.environments import laid_out
 
 PICTURE = "Xihe Reflections"
 """Of the nodes in a world, and the beginning of its image's name."""
@@ -61,7 +62,7 @@ def reflect_in_world(world: bpy.types.World, panorama: ArrayLike, exposure: floa
     """
     node = _picture(world) or _add_picture(world)
     _remove_image(node)
-    pixels = as_environment(np.asarray(panorama, np.float32)) / np.float32(exposure)
+    pixels = laid_out(np.asarray(panorama, np.float32), "+X") / np.float32(exposure)
     node.image = write_image(f"{PICTURE} {world.name}", pixels, is_float=True)
 
 

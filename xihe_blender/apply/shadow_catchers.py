@@ -53,7 +53,6 @@ def catch_shadows(
         faces.append(list(range(len(corners), len(corners) + len(outline))))
         corners += map(tuple, outline.tolist())
     mesh = catcher.data
-    assert isinstance(mesh, bpy.types.Mesh)
     mesh.clear_geometry()
     mesh.from_pydata(corners, [], faces)
     mesh.update()
@@ -76,7 +75,6 @@ def catch_shadows_of(
         away = np.linalg.norm(triangles - middle, axis=-1)
         triangles = triangles[(away <= reach).all(axis=1)]
     mesh = catcher.data
-    assert isinstance(mesh, bpy.types.Mesh)
     mesh.clear_geometry()
     points, corners = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     fill_mesh(mesh, points, corners.ravel(), 3 * np.arange(len(triangles)))
@@ -89,7 +87,6 @@ def corners_of(item: bpy.types.Object) -> ArrayF64:
     from xihe_blender.scene.mesh_arrays import array_of
 
     mesh = item.data
-    assert isinstance(mesh, bpy.types.Mesh)
     return array_of(mesh.vertices, "co", np.float32, 3).astype(np.float64)
 
 
@@ -100,7 +97,6 @@ def triangles_of(scan: bpy.types.Object) -> ArrayF32:
     from xihe_blender.scene.mesh_arrays import array_of
 
     mesh = scan.data
-    assert isinstance(mesh, bpy.types.Mesh)
     mesh.calc_loop_triangles()
     corners = array_of(mesh.loop_triangles, "vertices", np.int32, 3)
     world_from_scan = np.array(scan.matrix_world, np.float64)
@@ -132,6 +128,5 @@ def remove_shadow_catchers(catchers: Iterable[bpy.types.Object]) -> None:
     own: set[bpy.types.ID] = set()
     for catcher in catchers:
         mesh = catcher.data
-        assert isinstance(mesh, bpy.types.Mesh)
         own |= {catcher, mesh, *mesh.materials}
     bpy.data.batch_remove(own)

@@ -7,8 +7,6 @@ file, as the user knows them; coefficients are in the project's own axes, +Z up,
 from __future__ import annotations
 
 import argparse
-import contextlib
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ import numpy as np
 
 from xihe_blender.cli.arguments import Position, adder, one_of, position
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import finite_or_none, written_whole
+from xihe_blender.io.outputs import finite_or_none, json_file, write_together
 from xihenet import __version__, estimators
 from xihenet.backend import LocalBackend, estimate_light
 from xihenet.camera import in_view, invalid_pixels, project_points, unproject_frame
@@ -25,7 +23,7 @@ from xihenet.estimators import EstimateContext, Estimator
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
 from xihenet.io.frame_files import FrameCamera, off_centre, read_camera, read_frame
 from xihenet.io.picture_size import MOST_PIXELS
-from xihenet.io.png import write_png
+from xihenet.io.png import encode_png
 from xihenet.light.light_picture import light_picture
 from xihenet.records import ArrayF64, LightEstimate, PointCloud, RgbdFrame
 from xihenet.sampling import sample_unit_sphere
@@ -245,18 +243,12 @@ def write_estimates(folder: Path, content: dict[str, Any], placed: list[PlacedEs
 
     Their paths, the JSON's first. UserError if they cannot be written; files of an earlier estimate are replaced.
     """
-    pictures = [folder / f"light_{place}.png" for place in range(len(placed))]
-    summary = folder / "estimate.json"
+    pictures = {f"light_{k}.png": encode_png(light_picture(one.light.sh_radiance)) for k, one in enumerate(placed)}
     try:
-        # Files get their names as the stack unwinds, the JSON last: where it is, the pictures are.
-        with contextlib.ExitStack() as stack:
-            json_beside = stack.enter_context(written_whole(summary))
-            json_beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-            for path, one in zip(pictures, placed, strict=True):
-                write_png(stack.enter_context(written_whole(path)), light_picture(one.light.sh_radiance))
+        # The JSON gets its name last: where it is, the pictures are.
+        return write_together(folder, {"estimate.json": json_file(content), **pictures})
     except OSError as error:
         raise UserError(f"cannot write to {folder} ({error.strerror}): choose another folder for --out") from error
-    return [summary, *pictures]
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
@@ -266,7 +258,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     for line in warnings_about(frame, placed):
         print(f"xihe: warning: {line}", file=stderr)
     if options.json:
-        print(json.dumps(content, indent=1, allow_nan=False), file=stdout)
+        print(json_file(content).decode(), file=stdout, end="")
         return
     print(as_table(facts, placed), file=stdout)
     for path in written:

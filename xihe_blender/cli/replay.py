@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 
 from xihe_blender.cli.arguments import BACKEND, BETWEEN, add_recording, adder, one_of, position
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import finite_or_none, write_json, written_whole
+from xihe_blender.io.outputs import finite_or_none, write_json, write_together
 from xihe_blender.io.run_lights import write_lights
 from xihe_blender.report.replay import write_replay_report
 from xihenet import __version__, estimators
@@ -24,7 +23,7 @@ from xihenet.captures.drift import Drift
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator
 from xihenet.invalid import added, format_reason, left_out, n_left_out
-from xihenet.io.png import encode_png, write_png
+from xihenet.io.png import encode_png
 from xihenet.light import BetweenEstimates
 from xihenet.light.exports import NamedLight
 from xihenet.light.light_picture import light_picture, seen_picture
@@ -252,7 +251,7 @@ def _write(
     drift: Drift | None,
 ) -> list[Path]:
     """All that the command leaves; replay.json last."""
-    out, written = options.out, []
+    out = options.out
     content = {
         "schema_version": 1,
         "software": {"xihe": __version__, "numpy": np.__version__},
@@ -280,13 +279,8 @@ def _write(
         "score": None if score is None else {"says": SCORE_SAYS, "estimators": [asdict(one) for one in score]},
     }
     try:
-        with contextlib.ExitStack() as stack:
-            for place in places:
-                if place.lights:
-                    path = out / f"{place.name}.png"
-                    picture = light_picture(np.array(place.lights[-1]["sh_radiance"]))
-                    write_png(stack.enter_context(written_whole(path)), picture)
-                    written.append(path)
+        pictures = {f"{place.name}.png": _light_png(place) for place in places if place.lights}
+        written = write_together(out, pictures)
         if options.to is not None:
             lights = [light for place in places for light in place.exported]
             written += write_lights(lights, options.to, out / options.to)
@@ -302,8 +296,12 @@ def _write(
 def _pictures(place: Place) -> tuple[bytes, bytes]:
     """PNG files of the sphere as it was seen, and of the last light."""
     assert place.cloud is not None
-    light = np.array(place.lights[-1]["sh_radiance"])
-    return encode_png(seen_picture(place.cloud, 128)), encode_png(light_picture(light, panorama_height=128, margin=8))
+    return encode_png(seen_picture(place.cloud, 128)), _light_png(place, panorama_height=128, margin=8)
+
+
+def _light_png(place: Place, **drawn: int) -> bytes:
+    """PNG file of the last light, `drawn` as `light_picture` takes it."""
+    return encode_png(light_picture(np.array(place.lights[-1]["sh_radiance"]), **drawn))
 
 
 def _shown_frames(capture: Capture, places: Sequence[Place]) -> list[tuple[int, bytes]]:

@@ -188,7 +188,20 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[s
 def write_json(path: Path, content: Any) -> None:
     """Write strict JSON (no NaN, no Infinity: those raise ValueError) whole or not at all."""
     with written_whole(path) as beside:
-        beside.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        beside.write_bytes(json_file(content))
+
+
+def json_file(content: Any) -> bytes:
+    """What `write_json` writes."""
+    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
+
+
+def write_together(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Write all files, by name, or none if one cannot be written; the first gets its name last. Their paths."""
+    with contextlib.ExitStack() as stack:
+        for name, content in files.items():
+            stack.enter_context(written_whole(folder / name)).write_bytes(content)
+    return [folder / name for name in files]
 
 
 def finite_or_none(value: float | None) -> float | None:

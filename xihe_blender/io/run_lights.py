@@ -5,7 +5,6 @@ And lights as they are written for an engine.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.exr import read_radiance
-from xihe_blender.io.outputs import written_whole
+from xihe_blender.io.outputs import write_together
 from xihe_blender.io.run_results import (
     Coefficients,
     FrameResult,
@@ -134,7 +133,10 @@ def write_lights(
         files = export_files(lights, platform, reading=reading, units=UNITS[units])
     except ValueError as error:
         raise UserError(str(error)) from error
-    return _written(out, files)
+    try:
+        return write_together(out, files)
+    except OSError as error:
+        raise UserError(f"cannot write to {out} ({error.strerror}): choose another folder") from error
 
 
 def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[NamedLight]:
@@ -177,15 +179,3 @@ def _in_force(changes: Sequence[LightChange], asked: LightsAsked) -> list[LightC
     if asked.everything:
         return list(changes)
     return [change for change in changes if asked.frame is None or change.frame <= asked.frame][-1:]
-
-
-def _written(folder: Path, files: dict[str, bytes]) -> list[Path]:
-    """Write all of the files or, if one cannot be written, none; UserError then. Their paths."""
-    paths = [folder / name for name in files]
-    try:
-        with contextlib.ExitStack() as stack:
-            for path, content in zip(paths, files.values(), strict=True):
-                stack.enter_context(written_whole(path)).write_bytes(content)
-    except OSError as error:
-        raise UserError(f"cannot write to {folder} ({error.strerror}): choose another folder") from error
-    return paths

@@ -10,7 +10,6 @@ from typing import Any
 
 import bpy
 
-from xihe_blender.apply.images import as_environment
 from xihe_blender.apply.reflection_pictures import has_sun_for_lamp
 from xihe_blender.compare.methods import ERROR_AT_FULL_SCALE
 from xihe_blender.io import run_results as records
@@ -28,6 +27,7 @@ from xihe_blender.report.values import mean
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
 from xihenet.invalid import added, counted
+from xihenet.light.environments import laid_out
 from xihenet.light.reflections import light_of_rough, reflection_panorama
 from xihenet.records import ObjectLight
 
@@ -58,7 +58,7 @@ def light_changes(
                 assert shown is not None
                 pixels = shown.radiance.tobytes()
                 if pixels not in pictures:
-                    write_radiance(path, as_environment(reflection_panorama(shown) / exposure))
+                    write_radiance(path, laid_out(reflection_panorama(shown) / exposure, "+X"))
                     seen_share = float(light.reflections.seen_share)
                     pictures[pixels] = records.ReflectionsResult(
                         picture=outputs.relative(path), seen_share=seen_share, has_lamp=not has_sun

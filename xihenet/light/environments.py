@@ -9,7 +9,7 @@ channel.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,11 +18,12 @@ from xihenet.light.key_light import rest_of
 from xihenet.light.platforms import Platform
 from xihenet.light.reflections import reflection_panorama
 from xihenet.panorama import evaluate_panorama, panorama_directions, solid_angles
-from xihenet.records import ArrayF64, ArrayU8, KeyLight, ObjectLight
+from xihenet.records import ArrayF32, ArrayF64, ArrayU8, KeyLight, ObjectLight
 
 HEIGHT = 128
 """Of a picture: a texel is 1.4 degrees wide, as wide as the directions of reflections are apart."""
 
+Picture = TypeVar("Picture", ArrayF64, ArrayF32)
 Layout = Literal["+X", "-Y"]
 QUARTERS: dict[Layout, int] = {"+X": -1, "-Y": 2}
 """Which of Blender's axes is in the middle, where ours have +Y, and the quarters of a turn by which columns move."""
@@ -50,12 +51,12 @@ def disc_picture(key: KeyLight, height: int) -> ArrayF64:
     return radiance
 
 
-def laid_out(picture: ArrayF64, layout: Layout) -> ArrayF64:
+def laid_out(picture: Picture, layout: Layout) -> Picture:
     """One of our panoramas as an engine reads it; its width divides by four."""
     return np.roll(picture, QUARTERS[layout] * picture.shape[1] // 4, axis=1)
 
 
-def laid_out_as_ours(picture: ArrayF64, layout: Layout) -> ArrayF64:
+def laid_out_as_ours(picture: Picture, layout: Layout) -> Picture:
     """The panorama that `laid_out` makes the picture of."""
     return np.roll(picture, -QUARTERS[layout] * picture.shape[1] // 4, axis=1)
 
