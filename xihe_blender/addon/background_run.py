@@ -29,10 +29,9 @@ from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.runs_folder import last_part
 from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import Parameters, as_json, from_json
+from xihe_blender.io.json_records import Parameters, as_json, read_record
 from xihe_blender.io.outputs import RunOutputs, write_json, written_whole
 from xihe_blender.jobs import Job, Progress
-from xihenet.io.json_files import read_json
 
 COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")
@@ -94,7 +93,7 @@ class BackgroundRun:
     def request(self) -> RunRequest:
         """What it does; UserError if nothing tells any more, so that it cannot be taken up."""
         try:
-            return from_json(RunRequest, read_json(self.outputs.request))
+            return read_record(RunRequest, self.outputs.request)
         except (OSError, TypeError, ValueError) as error:
             raise UserError(f"{self.folder} is gone or damaged: discard it, and run again") from error
 
@@ -102,7 +101,7 @@ class BackgroundRun:
     def state(self) -> RunState | None:
         """What the second Blender said last; None before it has said anything."""
         try:
-            return from_json(RunState, read_json(self.outputs.progress))
+            return read_record(RunState, self.outputs.progress)
         except (OSError, TypeError, ValueError):
             return None
 

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import from_json
+from xihe_blender.io.json_records import read_record
 from xihe_blender.io.path_results import PathResults
 from xihenet.formats import format_percent
-from xihenet.io.json_files import read_json
 
 LEAST_HELP = 0.05
 """Of an object's error: a part that would take off less is not recommended."""
@@ -149,4 +148,4 @@ def read_budget(folder: Path) -> BudgetResults:
 
 @functools.lru_cache(maxsize=4)
 def _read(file: Path, _changed_ns: int) -> BudgetResults:
-    return from_json(BudgetResults, read_json(file))
+    return read_record(BudgetResults, file)

@@ -16,7 +16,10 @@ import math
 import types
 import typing
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal, TypeVar, Union
+
+from xihenet.io.json_files import read_json
 
 Json = Any  # what `json.loads` gives
 Plain = str | int | float | bool | None
@@ -47,6 +50,11 @@ def as_json(value: object) -> Json:
 def from_json(kind: type[Record], content: Json) -> Record:
     """The record that `content` is. TypeError or ValueError where it is not one, with the name of the field."""
     return typing.cast(Record, _read(kind, content, kind.__name__))
+
+
+def read_record(kind: type[Record], path: Path) -> Record:
+    """The record in a JSON file. OSError where it cannot be read; TypeError or ValueError as of `from_json`."""
+    return from_json(kind, read_json(path))
 
 
 def json_schema(kind: type) -> dict[str, Json]:

@@ -7,12 +7,13 @@ line shows, and its work is done once more.
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from xihe_blender.io.json_records import Json
+from xihe_blender.io.json_records import Json, Record, read_record
 from xihe_blender.io.outputs import write_json
 from xihenet.io.json_files import read_json
 
@@ -36,6 +37,11 @@ def read_kept(path: Path, read: Callable[[Path], Kept]) -> Kept | None:
 def kept_json(path: Path, read: Callable[[Json], Kept]) -> Kept | None:
     """What `read` makes of the JSON in the file, as `read_kept`."""
     return read_kept(path, lambda file: read(read_json(file)))
+
+
+def kept_record(kind: type[Record], path: Path) -> Record | None:
+    """The record in the JSON file, as `read_kept`."""
+    return read_kept(path, functools.partial(read_record, kind))
 
 
 def kept_or_made(path: Path, read: Callable[[Json], Kept], make: Callable[[], Json]) -> Kept:

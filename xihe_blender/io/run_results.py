@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import ABSENT, INLINE, Parameters, Plain, from_json, json_schema
-from xihenet.io.json_files import read_json
+from xihe_blender.io.json_records import ABSENT, INLINE, Parameters, Plain, json_schema, read_record
 from xihenet.light import BetweenEstimates, LightParts
 
 SCHEMA_VERSION: Literal[1] = 1
@@ -442,7 +441,7 @@ def read_results(folder: Path) -> RunResults:
 def _read(file: Path, _changed_ns: int) -> RunResults | None:
     """None for what no run of this version wrote: that is remembered as well."""
     try:
-        results = from_json(RunResults, read_json(file))
+        results = read_record(RunResults, file)
     except (TypeError, ValueError):
         return None
     return results if results.lights else None

@@ -6,7 +6,6 @@ look from an object and one ball serve for all moments.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -14,18 +13,15 @@ from xihe_blender.capture.all_around import N_VIEWS, AllAroundScanner, open_all_
 from xihe_blender.capture.phone_surfaces import load_surfaces, save_surfaces, surfaces_in
 from xihe_blender.capture.satin_probe import satin_ball_at
 from xihe_blender.io.exr import read_radiance, write_radiance
-from xihe_blender.io.json_records import as_json, from_json
-from xihe_blender.io.kept_files import kept_json, read_kept
+from xihe_blender.io.json_records import as_json, read_record
+from xihe_blender.io.kept_files import kept_record, read_kept
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
-from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 from xihenet.satin_ball import SatinBall
-
-_read_ball = functools.partial(from_json, SatinBall)
 
 FROM_PATH = "path"
 """The place from which the phone itself looks around."""
@@ -89,7 +85,7 @@ def kept_views(run: PreparedRun, place: str, frame: int) -> list[View]:
 
 def measure_balls(run: PreparedRun, wanted: Iterable[tuple[int, Probe]]) -> Job[None]:
     """A job: render the satin ball at each position in each frame that is not kept yet."""
-    missing = [(f, probe) for f, probe in wanted if kept_json(_ball_file(run, f, probe), _read_ball) is None]
+    missing = [(f, probe) for f, probe in wanted if kept_record(SatinBall, _ball_file(run, f, probe)) is None]
     if not missing:
         return
     with run.open_probes(run.plan.probes) as reference_probe:
@@ -103,7 +99,7 @@ def measure_balls(run: PreparedRun, wanted: Iterable[tuple[int, Probe]]) -> Job[
 
 def kept_ball(run: PreparedRun, frame: int, probe: Probe) -> SatinBall:
     """What `measure_balls` rendered."""
-    return _read_ball(read_json(_ball_file(run, frame, probe)))
+    return read_record(SatinBall, _ball_file(run, frame, probe))
 
 
 def _ball_file(run: PreparedRun, frame: int, probe: Probe) -> Path:

@@ -6,7 +6,6 @@ folder and taken up again there, for the same scene and settings, whatever is as
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.capture.reference_probe import MeasuredLight, open_reference_probe
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import Parameters, as_json, from_json
-from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.json_records import Parameters, as_json
+from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress
@@ -100,14 +99,14 @@ def capture_path(
 
 def measured_lights(run: PreparedRun, positions_m: Sequence[ArrayLike]) -> Job[list[ArrayF64]]:
     """A job: (9, 3) of a light probe at each of the positions (3,) in the last frame; probes are kept."""
-    frame, read, lights = run.plan.frames[-1], functools.partial(from_json, MeasuredLight), []
+    frame, lights = run.plan.frames[-1], []
     places_m = [np.asarray(position_m, np.float64) for position_m in positions_m]
     with open_reference_probe(run.scene, places_m, run.reference) as probe:
         for index, place_m in enumerate(places_m):
             doing = f"rendering light probe {index + 1} of {len(places_m)}"
             yield Progress(index, len(places_m), doing, {"light probes": len(places_m) - index})
             path = run.outputs.reference(0, "-".join(f"{c:.3f}" for c in place_m), frame)
-            light = kept_json(path, read)
+            light = kept_record(MeasuredLight, path)
             if light is None:
                 light = probe.light_at(index, frame, run.exposure).measured
                 write_json(path, as_json(light))

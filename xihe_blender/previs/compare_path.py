@@ -7,7 +7,6 @@ run kept it, taken over from an earlier frame where scene, camera, capture and l
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -17,8 +16,8 @@ import numpy as np
 from xihe_blender.compare import methods
 from xihe_blender.compare.methods import Comparer, Comparison
 from xihe_blender.io.exr import write_radiance
-from xihe_blender.io.json_records import as_json, from_json
-from xihe_blender.io.kept_files import kept_json, read_kept
+from xihe_blender.io.json_records import as_json, read_record
+from xihe_blender.io.kept_files import kept_record, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_lights import as_surface_result
 from xihe_blender.io.run_results import ComparedFrame
@@ -26,7 +25,6 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import Lights, WalkedPath
-from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame
 from xihenet.placement import evenly_chosen
 from xihenet.surfaces import Surface
@@ -34,21 +32,19 @@ from xihenet.surfaces import Surface
 MOST_SEEN = 12
 """Captures in which surfaces are looked for, evenly spread: more show no more of a table."""
 
-_compared_in = functools.partial(from_json, ComparedFrame)
-
 
 def compare_path(run: PreparedRun, walked: WalkedPath) -> Job[dict[int, ComparedFrame]]:
     """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
     outputs, active = run.outputs, [frame.frame for frame in walked.frames if frame.active]
     frames = compared_frames(active, run.settings.preset_values.comparison_step)
     sources = comparison_sources(run, {frame: walked.lights[frame] for frame in frames})
-    kept = {frame: kept_json(outputs.compared(frame), _compared_in) for frame in frames}
+    kept = {frame: kept_record(ComparedFrame, outputs.compared(frame)) for frame in frames}
     missing = [frame for frame in frames if kept[frame] is None]
     yield from _render_missing(run, walked, [frame for frame in missing if sources[frame] == frame])
     for frame in missing:
         if sources[frame] != frame:
             _take_over(outputs, sources[frame], frame)
-    return {frame: kept[frame] or _compared_in(read_json(outputs.compared(frame))) for frame in frames}
+    return {frame: kept[frame] or read_record(ComparedFrame, outputs.compared(frame)) for frame in frames}
 
 
 def _render_missing(run: PreparedRun, walked: WalkedPath, missing: Sequence[int]) -> Iterator[Progress]:
@@ -88,7 +84,7 @@ def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
 
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
-    compared = _compared_in(read_json(outputs.compared(source)))
+    compared = read_record(ComparedFrame, outputs.compared(source))
     for method in ("ground_truth", *compared.comparison):
         copy_whole(outputs.radiance(method, source), outputs.radiance(method, frame))
     # What the phone saw has been written before; its exposure may differ.

@@ -20,8 +20,8 @@ from xihe_blender.capture.phone_surfaces import ask_for_surfaces, load_surfaces,
 from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe
 from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner, session_time_s
 from xihe_blender.io.exr import read_radiance, write_radiance
-from xihe_blender.io.json_records import as_json, from_json
-from xihe_blender.io.kept_files import kept_json, read_kept
+from xihe_blender.io.json_records import as_json, read_record
+from xihe_blender.io.kept_files import kept_json, kept_record, read_kept
 from xihe_blender.io.outputs import copy_whole, finite_or_none, write_json, write_picture
 from xihe_blender.io.run_results import CaptureRender, ProbeRender, Rendering
 from xihe_blender.jobs import Job, Progress
@@ -35,8 +35,6 @@ from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions, solid_angles
 from xihenet.records import Reflections, RgbdFrame, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
-
-_kept_light = functools.partial(from_json, MeasuredLight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ def kept_renders(run: PreparedRun, frame: int) -> FrameRenders | None:
     if frame not in run.needs.captured:
         return None
     probes = run.probes_in_view(frame) if run.has_truth else []
-    references = {probe.name: _kept_light(read_json(_reference(run, probe, frame))) for probe in probes}
+    references = {probe.name: read_record(MeasuredLight, _reference(run, probe, frame)) for probe in probes}
     capture_s = float(read_json(run.outputs.times(frame))["render_s"])
     render_s = capture_s + sum(light.render_s for light in references.values())
     return FrameRenders(load_frame(run.outputs.capture(frame)), references, render_s)
@@ -117,7 +115,7 @@ def _measure(run: PreparedRun, frame: int, probe: Probe, reference_probe: Refere
             write_radiance(run.outputs.mirror_ball(index, probe.name, frame), ball)
             measured = replace(measured, render_s=measured.render_s + render_s)
     else:
-        measured = replace(_kept_light(read_json(_reference(run, probe, source))), render_s=0.0)
+        measured = replace(read_record(MeasuredLight, _reference(run, probe, source)), render_s=0.0)
         copy_whole(panorama(source), panorama(frame))
     write_json(_reference(run, probe, frame), as_json(measured))
     return measured.render_s
@@ -125,7 +123,7 @@ def _measure(run: PreparedRun, frame: int, probe: Probe, reference_probe: Refere
 
 def _is_measured(run: PreparedRun, frame: int, probe: Probe) -> bool:
     """Whether each piece of a reference light can be read."""
-    if kept_json(_reference(run, probe, frame), _kept_light) is None:
+    if kept_record(MeasuredLight, _reference(run, probe, frame)) is None:
         return False
     if not run.settings.has_reflections or run.reuse.probes[frame, probe.name] != frame:
         return True

@@ -7,7 +7,6 @@ and kept in the run's folder, so that a resumed run does the same without lookin
 from __future__ import annotations
 
 import contextlib
-import functools
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ from xihe_blender.capture.reference_probe import ProbeSettings, ReferenceProbe, 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
 from xihe_blender.io.json_records import Json, as_json, from_json
-from xihe_blender.io.kept_files import kept_json, kept_or_made
+from xihe_blender.io.kept_files import kept_or_made, kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport import cycles_settings
@@ -136,7 +135,7 @@ class PreparedRun:
 
 def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> SceneSurvey:
     """The survey that an earlier part of this run has left in `outputs`, or a new one, which is not written there."""
-    kept = kept_json(outputs.survey, functools.partial(from_json, SceneSurvey))
+    kept = kept_record(SceneSurvey, outputs.survey)
     if kept is not None and tuple(kept.frames) == tuple(plan.frames):
         return kept
     if outputs.survey.exists():

@@ -8,7 +8,6 @@ are simply done again, so a resumed run has the numbers of an undisturbed one.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +16,8 @@ import bpy
 
 from xihe_blender.apply.lit_timeline import apply_lights
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import Json, as_json, from_json
-from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.json_records import Json, as_json
+from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.io.run_lights import last_surfaces
 from xihe_blender.io.run_results import FrameResult, LightChange, RunResults
@@ -75,7 +74,7 @@ def previs(
         decides |= {"recording": recorded.digest}
     manifest = FolderManifest(outputs.folder, outputs.settings, "a run", decides, leaves)
     is_whole = manifest.check() and all(path.exists() for path in leaves)
-    finished = kept_json(outputs.results, functools.partial(from_json, RunResults)) if is_whole else None
+    finished = kept_record(RunResults, outputs.results) if is_whole else None
     if finished is not None:
         yield Progress(1, 1, f"this run is already done; delete {out} to do it again")
         return as_json(finished)
