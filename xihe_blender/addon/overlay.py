@@ -252,7 +252,7 @@ def labels_in(region: bpy.types.Region) -> Sequence[Box]:
     return () if _overlay is None else _overlay.labels.get(region.as_pointer(), ())
 
 
-@bpy.app.handlers.persistent  # type: ignore[untyped-decorator]
+@bpy.app.handlers.persistent
 def forget_positions(*_: Any) -> None:
     """They are computed anew when a view is drawn next."""
     if _overlay is not None:

@@ -147,11 +147,16 @@ def can_denoise(scene: bpy.types.Scene) -> bool:
 
 def set_up_memory_exr(image_settings: bpy.types.ImageFormatSettings) -> None:
     """32-bit multi-layer EXR without compression, the fastest to write and lossless."""
-    if hasattr(image_settings, "media_type"):
-        image_settings.media_type = "MULTI_LAYER_IMAGE"
-    image_settings.file_format = "OPEN_EXR_MULTILAYER"
+    choose_format(image_settings, "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER")
     image_settings.color_depth = "32"
     image_settings.exr_codec = "NONE"
+
+
+def choose_format(image_settings: bpy.types.ImageFormatSettings, media_type: str, file_format: str) -> None:
+    """Set the format of output; Blender 5 asks for its kind first."""
+    if hasattr(image_settings, "media_type"):
+        image_settings.media_type = media_type
+    image_settings.file_format = file_format
 
 
 def render_only_part(scene: bpy.types.Scene, part: PicturePart | None) -> None:

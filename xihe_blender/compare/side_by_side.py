@@ -17,6 +17,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from xihe_blender.capture.render import choose_format
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_picture
 from xihe_blender.io.run_results import RunResults
@@ -184,27 +185,19 @@ def add_label(strips: Any, label: str, *, channel: int, n_frames: int, place: tu
 
 def render_pictures(scene: bpy.types.Scene, folder: Path) -> list[Path]:
     """What the sequencer of `scene` shows, as PNG."""
-    choose_format(scene, "IMAGE", "PNG")
+    choose_format(scene.render.image_settings, "IMAGE", "PNG")
     render(scene, folder / "labelled_")
     return sorted(folder.glob("labelled_*.png"))
 
 
 def render_film(scene: bpy.types.Scene, folder: Path) -> Path:
     """What the sequencer of `scene` shows, as H.264 in .mp4."""
-    choose_format(scene, "VIDEO", "FFMPEG")
+    choose_format(scene.render.image_settings, "VIDEO", "FFMPEG")
     encoder = scene.render.ffmpeg
     encoder.format, encoder.codec, encoder.audio_codec = "MPEG4", "H264", "NONE"
     encoder.constant_rate_factor = "HIGH"
     render(scene, folder / "film.mp4")
     return folder / "film.mp4"
-
-
-def choose_format(scene: bpy.types.Scene, media_type: str, file_format: str) -> None:
-    """Set the format of output; Blender 5 asks for its kind first."""
-    image_settings = scene.render.image_settings
-    if hasattr(image_settings, "media_type"):
-        image_settings.media_type = media_type
-    image_settings.file_format = file_format
 
 
 def render(scene: bpy.types.Scene, path: Path) -> None:

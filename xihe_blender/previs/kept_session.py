@@ -25,6 +25,9 @@ from xihenet.other_cores import find_light_on_all_cores
 from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
 
+OF_CHAIN = ("estimator", "target", "light", "n_anchors", "seed", "captured", "between_estimates", "network")
+"""Settings by which the chain runs, under the names that results have for them too."""
+
 
 @dataclass(frozen=True, eq=False)
 class KeptSession:
@@ -119,15 +122,5 @@ def _settings_of(results: RunResults) -> PrevisSettings:
     """Of the chain; what only rendering needs is left as it comes."""
     of_run = results.settings
     following = None if of_run.following is None else LightFollowing(**of_run.following)  # type: ignore[arg-type]
-    return PrevisSettings(
-        estimator=of_run.estimator,
-        target=of_run.target,
-        light=of_run.light,
-        n_anchors=of_run.n_anchors,
-        seed=of_run.seed,
-        captured=of_run.captured,
-        trigger=TriggerSettings(**of_run.trigger),  # type: ignore[arg-type]
-        following=following,
-        between_estimates=of_run.between_estimates,
-        network=of_run.network,
-    )
+    trigger = TriggerSettings(**of_run.trigger)  # type: ignore[arg-type]
+    return PrevisSettings(trigger=trigger, following=following, **{name: getattr(of_run, name) for name in OF_CHAIN})
