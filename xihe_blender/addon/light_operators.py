@@ -163,7 +163,9 @@ class XIHE_OT_remove_light(Action, bpy.types.Operator):
         _put_views_back()
 
 
-CLASSES = (XIHE_OT_apply_light, XIHE_OT_show_lit, XIHE_OT_show_room, XIHE_OT_remove_light)
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(
+    (XIHE_OT_apply_light, XIHE_OT_show_lit, XIHE_OT_show_room, XIHE_OT_remove_light)
+)
 
 
 def _handlers() -> list[tuple[list[Any], Any]]:
@@ -173,8 +175,7 @@ def _handlers() -> list[tuple[list[Any], Any]]:
 
 
 def register() -> None:
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     for handlers, called in _handlers():
         handlers.append(called)
     _listen()
@@ -185,5 +186,4 @@ def unregister() -> None:
         handlers.remove(called)
     bpy.msgbus.clear_by_owner(_views)
     _views.clear()
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

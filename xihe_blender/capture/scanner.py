@@ -73,7 +73,7 @@ class CyclesScanner:
             world_from_camera,
             self.exposure,
             sensed_ambient(colour, self.exposure),
-            time_s=session_time_s(self.scene),
+            time_s=seconds_of(self.scene, self.scene.frame_current),
             frame=self.scene.frame_current,
             invalid=invalid,
         )
@@ -99,11 +99,6 @@ def working_room(scene: bpy.types.Scene, name: str, settings: RenderSettings) ->
 def first_layer(rendered: Rendered) -> tuple[ArrayF32, ArrayF32]:
     """Radiance (H, W, 3) and plane depth (H, W) of a render with one view layer."""
     return stacked_rgb(rendered.passes), rendered.passes["Depth.Z"]
-
-
-def session_time_s(scene: bpy.types.Scene) -> float:
-    """Seconds of the session at the current frame."""
-    return seconds_of(scene, scene.frame_current)
 
 
 def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from xihe_blender.capture.phone_surfaces import ask_for_surfaces, load_surfaces, save_surfaces, surfaces_in
 from xihe_blender.capture.reference_probe import MeasuredLight, ReferenceProbe
-from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner, session_time_s
+from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner
 from xihe_blender.io.exr import read_radiance, write_radiance
 from xihe_blender.io.json_records import as_json, read_record
 from xihe_blender.io.kept_files import kept_json, kept_record, read_kept
@@ -27,6 +27,7 @@ from xihe_blender.io.run_results import CaptureRender, ProbeRender, Rendering
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.scene.units import seconds_of
 from xihenet.colour import linear_to_srgb
 from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame, save_frame
@@ -93,7 +94,7 @@ def _capture(run: PreparedRun, frame: int, scanner: CyclesScanner) -> float:
     else:
         for (kept, _), (path, _) in zip(_beside_capture(run, source), _beside_capture(run, frame), strict=True):
             copy_whole(kept, path)
-        captured = replace(load_frame(outputs.capture(source)), time_s=session_time_s(scanner.scene), frame=frame)
+        captured = replace(load_frame(outputs.capture(source)), time_s=seconds_of(scanner.scene, frame), frame=frame)
         render_s = 0.0
     save_frame(outputs.capture(frame), captured)
     write_picture(outputs.picture("captured", frame), captured.srgb_u8)

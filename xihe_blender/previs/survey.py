@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.capture.render import RenderSettings, working_scene
-from xihe_blender.capture.scanner import phone_camera, session_time_s
+from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import Fault
 from xihe_blender.jobs import Job, Progress
@@ -30,6 +30,7 @@ from xihe_blender.previs.movement import MovementSurvey
 from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.scene_faults import faults_at_frame, image_faults, place_faults, unseen_faults
 from xihe_blender.scene import shader_nodes
+from xihe_blender.scene.units import seconds_of
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 from xihenet.camera import in_view
 from xihenet.effects import Requirement
@@ -122,7 +123,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
             is_on_path = frame in plan.frames
             # Beside the path the camera only tells how it moves: no phone's is one that was switched to.
             with contextlib.nullcontext() if is_on_path else contextlib.suppress(UserError):
-                views[frame] = _CameraView(working.camera, *phone_camera(working), session_time_s(working))
+                views[frame] = _CameraView(working.camera, *phone_camera(working), seconds_of(working, frame))
             if is_on_path:
                 faults += faults_at_frame(working.view_layers[0].depsgraph, is_first=frame == plan.frames[0])
                 inspection.look_at(frame, transport.look_at, states.look_at, room.look_at, movement.look_at)
