@@ -13,9 +13,9 @@ from scene_snapshot import differences, snapshot
 from tiny_scenes import opened, saved
 
 from xihe_blender.addon.placement_map import Squares, format_place
+from xihe_blender.apply.datablocks import placement_map
 from xihe_blender.apply.placement_map import (
     MapOf,
-    placement_map,
     remove_placement_map,
     show_placement_map,
     shown_place,

@@ -19,13 +19,8 @@ from xihe_blender.addon.overlay import Box, below_others, box_of, draw_text, lab
 from xihe_blender.addon.panels import StagePanel, sentence
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import found_folder
-from xihe_blender.apply.placement_map import (
-    COLOURS,
-    MapOf,
-    placement_map,
-    remove_placement_map,
-    shown_place,
-)
+from xihe_blender.apply.datablocks import placement_map
+from xihe_blender.apply.placement_map import COLOURS, MapOf, remove_placement_map, show_placement_map, shown_place
 from xihe_blender.io.placement_results import RAMP
 from xihe_blender.jobs import Job
 
@@ -72,8 +67,6 @@ class XIHE_OT_map_places(polls.Conditional, ModalJob, bpy.types.Operator):
         return job()
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.apply.placement_map import show_placement_map
-
         wanted, mapped = result
         scene = self.scene
         clearance_m = wanted.clearance_m if wanted.height_m is None else 0.0

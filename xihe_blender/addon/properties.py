@@ -9,7 +9,7 @@ import bpy
 from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.addon.runs_folder import found_folder, last_part
-from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
+from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, placement_map
 from xihe_blender.errors import UserError
 
 LAST_FRAME = 1048574
@@ -17,8 +17,6 @@ LAST_FRAME = 1048574
 
 def _map_shown(settings: XiheSceneSettings, _context: bpy.types.Context) -> None:
     """Its mesh too, whose edges Blender draws."""
-    from xihe_blender.apply.placement_map import placement_map
-
     if (item := placement_map()) is not None:
         item.hide_viewport = not settings.show_map
 

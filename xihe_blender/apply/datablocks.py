@@ -44,8 +44,8 @@ LIGHT_OF = "xihe_light_of"
 """Custom property of a world of ours: the places that its light is of, see `LightOf`."""
 
 
-MAP = "xihe_placement_map"
-"""Custom property of the mesh of the placement map; see `apply.placement_map`."""
+MAP, MAP_NAME = "xihe_placement_map", "Xihe Placement Map"
+"""Custom property of the mesh of the placement map, see `apply.placement_map`, and the name of its object."""
 
 
 FRAME = "xihe_frame"
@@ -103,13 +103,14 @@ def has_anything(scene: bpy.types.Scene) -> bool:
     """Whether there is something for `results_in_blender.remove_everything` to remove."""
     lit = any(lights_by_sh(world) and world.library is None for world in bpy.data.worlds)
     lit |= any((KEY_LIGHT in one or SHADOW_CATCHER in one) and one.library is None for one in bpy.data.objects)
-    is_lit = lit or lit_scene() is not None or bool(trigger_markers(scene))
-    return is_lit or next(our_images(), None) is not None or has_map() or better_path_camera() is not None
+    blocks = (lit_scene(), next(our_images(), None), placement_map(), better_path_camera())
+    return lit or bool(trigger_markers(scene)) or any(block is not None for block in blocks)
 
 
-def has_map() -> bool:
-    """Whether there is a placement map in the file itself."""
-    return any(MAP in mesh and mesh.library is None for mesh in bpy.data.meshes)
+def placement_map() -> bpy.types.Object | None:
+    """The placement map of the open file, whatever Blender calls it now."""
+    named = (item for item in bpy.data.objects if item.name.startswith(MAP_NAME) and item.library is None)
+    return next((item for item in named if item.type == "MESH" and MAP in item.data), None)
 
 
 def better_path_camera() -> bpy.types.Object | None:

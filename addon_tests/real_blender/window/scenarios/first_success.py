@@ -13,8 +13,8 @@ from rooms import look_through_camera, make_runs_short, room_to_light
 
 from xihe_blender.addon import placement_map as placement_view
 from xihe_blender.addon.overlay import labels_in
-from xihe_blender.apply.datablocks import LightOf
-from xihe_blender.apply.placement_map import MapOf, placement_map
+from xihe_blender.apply.datablocks import LightOf, placement_map
+from xihe_blender.apply.placement_map import MapOf
 
 
 def prepare():
