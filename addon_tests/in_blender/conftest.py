@@ -5,7 +5,6 @@ from previs_runs import IPAD, QuickPrevis, finished_run
 from tiny_scenes import room_with_a_virtual_sphere, saved
 
 from xihe_blender.capture.scanner import meter_exposure
-from xihe_blender.previs.settings import PrevisSettings
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -13,7 +12,6 @@ def coarse_metering():
     """An exposure is metered in this process with few rays: no test asks how little noise it has."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(meter_exposure.__kwdefaults__, "samples", 2)
-        patch.setattr(PrevisSettings, "metering_samples", 2)
         yield
 
 

@@ -159,11 +159,10 @@ def prepare_run(
         write_json(outputs.survey, as_json(survey))
     plan = survey.followed(plan)
     yield Progress(0, 1, "metering the exposure")
-    metering, n_samples = settings.metering_in_force, settings.metering_samples
     exposure = settings.exposure or kept_or_made(
         outputs.exposure,
         positive_exposure,
-        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=metering, samples=n_samples)},
+        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=settings.metering_in_force)},
     )
     choices = overrides_in_force(scene, settings.effect_choices)
     effects = kept_or_made(

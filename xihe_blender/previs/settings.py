@@ -16,7 +16,6 @@ from typing import Literal, cast, get_args
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
-from xihe_blender.capture.scanner import METERING_SAMPLES
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
 from xihenet import estimators
@@ -127,9 +126,6 @@ class PrevisSettings:
     network: str | None = None
     backend: str | None = None
     effect_choices: Mapping[str, str] = field(default_factory=dict)
-
-    metering_samples = METERING_SAMPLES
-    """Cycles samples per pixel of the pictures that an exposure is metered in; no field."""
 
     def __post_init__(self) -> None:
         for kind, name, known in (
