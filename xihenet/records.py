@@ -245,6 +245,18 @@ class AnchorSurfaces:
         zeros = np.zeros(len(np.asarray(facing)), np.float32)
         return cls(np.asarray(facing), zeros, zeros, np.zeros((len(zeros), 3), np.float32), zeros > 0)
 
+    def with_far_light(self, is_far: ArrayBool, rays: ArrayLike) -> AnchorSurfaces:
+        """Where anchors `is_far` (N,) show light from far away, along `rays` (K, 3), they face the position."""
+        one, view_direction = np.float32(1), self.view_direction.copy()
+        view_direction[is_far] = -np.asarray(rays).reshape(-1, 3)
+        return AnchorSurfaces(
+            np.where(is_far, one, self.facing),
+            np.where(is_far, one, self.incidence),
+            np.where(is_far, np.float32(FAR_M), self.camera_distance_m),
+            view_direction,
+            self.is_edge,
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class UnitSphereCloud:

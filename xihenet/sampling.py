@@ -2,11 +2,11 @@
 
 Unit-sphere sampling, the paper's choice: every point is projected to the unit sphere around the position, goes to its
 nearest anchor, and the nearest point wins the anchor, since it hides what lies behind it. Distance and colour of an
-anchor always come from one and the same point. `sample_unit_sphere_reference` is the same in a readable loop. Where the
-pixels of a picture lie sparser than the anchors, as on a table at a flat angle, the patches of surface that they show
-compete as well, cut into points: see `patches`. All else is sampled as if there were none. What is seen through an
-opening such as a window competes where the opening is, and counts as far away. Last come the other pixels whose
-distance is not known (`PixelGrid.far`): where nothing else is seen, theirs is the light from far away.
+anchor always come from one and the same point. `sampling_reference` is the same in a readable loop. Where the pixels of
+a picture lie sparser than the anchors, as on a table at a flat angle, the patches of surface that they show compete as
+well, cut into points: see `patches`. All else is sampled as if there were none. What is seen through an opening such as
+a window competes where the opening is, and counts as far away. Last come the other pixels whose distance is not known
+(`PixelGrid.far`): where nothing else is seen, theirs is the light from far away.
 
 Distance and point number are packed into one 64-bit key, so that a single minimum per anchor yields the winner, and
 points that are equally near are told apart by their number. Rejected: sorting by distance, which takes longer than all
@@ -15,9 +15,8 @@ the rest. Uniform random and farthest-point sampling are here as the paper's bas
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
@@ -34,7 +33,6 @@ from xihenet.patches import (
     lines_through,
     sparse_pixels,
 )
-from xihenet.patches_reference import PlainPicture
 from xihenet.records import (
     FAR_M,
     AnchorSurfaces,
@@ -48,7 +46,6 @@ from xihenet.records import (
 )
 from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 
-LARGEST_FLOAT32 = np.finfo(np.float32).max
 MOST_ASIDE = np.radians(50)
 """The light from far away that is seen through an opening is taken for that of directions up to this angle beside."""
 _NO_POINT = np.uint64(2**64 - 1)
@@ -80,136 +77,133 @@ def sample_unit_sphere(
     columns = _relative_columns(cloud.points_m, position)
     distance_m = _distances(columns)
     invalid = _exclude_unusable(columns, distance_m, cloud)
-    anchors = lattice.nearest_to_columns(columns, method, table_size)
-    is_set, winners = _nearest_points(anchors, distance_m, lattice.n)
-    nearest_m = np.full(lattice.n, np.inf, np.float32)
-    nearest_m[is_set] = distance_m[winners]
-    surfaces = None
-    if cloud.grid is not None:
+    nearest = partial(lattice.nearest_to_columns, method=method, table_size=table_size)
+    anchors = nearest(columns)
+    shown = _Shown.of_points(_nearest_points(anchors, distance_m, lattice.n), distance_m)
+    grid = cloud.grid
+    if grid is not None:
         with np.errstate(over="ignore"):  # A camera that float32 cannot hold has no points that count.
-            camera = (cloud.grid.camera_m - position).astype(np.float32)
-        seen = SeenGrid(cloud.grid, columns, distance_m, camera, not distance_m.max() < FARTHEST_M)
-        nearest = partial(lattice.nearest_to_columns, method=method, table_size=table_size)
-        is_set, winners, surfaces = _with_patches(
-            seen, anchors, winners, nearest_m, lattice, nearest, with_surfaces=with_surfaces
-        )
-        if cloud.grid.far is not None:
-            is_set, winners, surfaces = _with_far_light(
-                cloud, cloud.grid.far, camera, is_set, winners, nearest_m, surfaces, nearest
-            )
-        if cloud.grid.openings is not None:
-            winners, surfaces = _with_openings(
-                cloud, cloud.grid.camera_m, cloud.grid.openings, is_set, winners, nearest_m, surfaces, lattice, nearest
-            )
-    nearest_m[~is_set] = 0
+            camera = (grid.camera_m - position).astype(np.float32)
+        seen = SeenGrid(grid, columns, distance_m, camera, not distance_m.max() < FARTHEST_M)
+        _add_patches(shown, seen, anchors, lattice, nearest, with_surfaces=with_surfaces)
+        if grid.far is not None:
+            _add_far_light(shown, cloud, grid.far, camera, nearest)
+        if grid.openings is not None:
+            _look_through_openings(shown, cloud, grid.camera_m, grid.openings, lattice, nearest)
+    is_set = shown.is_set
     srgb = np.zeros((lattice.n, 3), np.float32)
-    srgb[is_set] = cloud.srgb.take(winners, axis=0).clip(0, 1)
-    return UnitSphereCloud(srgb, nearest_m, is_set, invalid, surfaces)
+    srgb[is_set] = cloud.srgb.take(shown.point[is_set], axis=0).clip(0, 1)
+    return UnitSphereCloud(srgb, np.where(is_set, shown.distance_m, np.float32(0)), is_set, invalid, shown.surfaces)
 
 
-def _with_patches(
-    seen: SeenGrid, anchors: ArrayInt, winners: ArrayInt, nearest_m: ArrayF32, lattice: AnchorLattice,
-    nearest: Callable[[ArrayF32], ArrayInt], *, with_surfaces: bool,
-) -> tuple[ArrayBool, ArrayInt, AnchorSurfaces | None]:  # fmt: skip
-    """After patches have competed as well: which anchors are set, the pixel that won each of those, and what it shows.
+_Nearest = Callable[[ArrayF32], ArrayInt]
+"""The anchors (P,) nearest to directions (3, P)."""
 
-    `nearest_m` (N,) is changed in place; `winners` are the pixels of its finite ones, in order.
+
+@dataclass(eq=False)
+class _Shown:
+    """What each of N anchors shows, as far as points have competed for it."""
+
+    point: ArrayInt  # (N,) number of the point whose colour it has; -1 for an anchor that is not set
+    distance_m: ArrayF32  # (N,) infinite for one that is not set
+    surfaces: AnchorSurfaces | None = None
+
+    @classmethod
+    def of_points(cls, point: ArrayInt, distance_m: ArrayF32) -> _Shown:
+        """Of the points at distances (P,) that have won."""
+        nearest_m = np.full(len(point), np.inf, np.float32)
+        nearest_m[point >= 0] = distance_m[point[point >= 0]]
+        return cls(point, nearest_m)
+
+    @property
+    def is_set(self) -> ArrayBool:
+        """(N,)."""
+        return self.point >= 0
+
+
+def _add_patches(
+    shown: _Shown, seen: SeenGrid, anchors: ArrayInt, lattice: AnchorLattice, nearest: _Nearest, *, with_surfaces: bool
+) -> None:
+    """Let the patches of the pixels that won an anchor compete as well, and say what surfaces are shown, if wanted.
+
+    `anchors` (P,) are the nearest ones of all pixels.
     """
-    lines = lines_through(seen.grid, winners)
-    patch_of_anchor = np.full(len(nearest_m), -1)
-    patch_of_anchor[nearest_m < np.inf] = np.arange(len(winners))
+    pixels = shown.point[shown.is_set]
+    lines = lines_through(seen.grid, pixels)
+    patch_of_anchor = np.full(lattice.n, -1)
+    patch_of_anchor[shown.is_set] = np.arange(len(pixels))
     sparse = sparse_pixels(seen, lines, anchors)
     # Patches of the other pixels are fitted for their surfaces alone.
     patches = fit_patches(seen, lines) if with_surfaces else None
     may_reach = fit_patches(seen, lines.take(sparse, axis=2)) if patches is None else patches.chosen(sparse)
-    cut, points = cut_patches(may_reach, len(nearest_m))
+    cut, points = cut_patches(may_reach, lattice.n)
     if len(cut):
         cut_m = _distances(points)
-        is_reached, nearest_cut = _nearest_points(nearest(points), cut_m, len(nearest_m))
-        reached = np.flatnonzero(is_reached)
-        is_nearer = cut_m[nearest_cut] < nearest_m[reached]
-        reached, nearest_cut = reached[is_nearer], nearest_cut[is_nearer]
-        nearest_m[reached], patch_of_anchor[reached] = cut_m[nearest_cut], sparse[cut[nearest_cut]]
+        nearest_cut = _nearest_points(nearest(points), cut_m, lattice.n)
+        reached = np.flatnonzero(nearest_cut >= 0)
+        reached = reached[cut_m[nearest_cut[reached]] < shown.distance_m[reached]]
+        winners = nearest_cut[reached]
+        shown.distance_m[reached], patch_of_anchor[reached] = cut_m[winners], sparse[cut[winners]]
     is_set = patch_of_anchor >= 0
-    shown = patch_of_anchor[is_set]
-    surfaces = None if patches is None else describe_surfaces(seen, patches, shown, is_set, lattice.directions)
-    return is_set, winners[shown], surfaces
+    shown.point[is_set] = pixels[patch_of_anchor[is_set]]
+    if patches is not None:
+        shown.surfaces = describe_surfaces(seen, patches, patch_of_anchor[is_set], is_set, lattice.directions)
 
 
-def _with_far_light(
-    cloud: PointCloud, far: FarPixels, camera: ArrayF32, is_set: ArrayBool, winners: ArrayInt, nearest_m: ArrayF32,
-    surfaces: AnchorSurfaces | None, nearest: Callable[[ArrayF32], ArrayInt],
-) -> tuple[ArrayBool, ArrayInt, AnchorSurfaces | None]:  # fmt: skip
-    """After pixels without a distance have taken the anchors that are left; as of `_with_patches`."""
+def _add_far_light(shown: _Shown, cloud: PointCloud, far: FarPixels, camera: ArrayF32, nearest: _Nearest) -> None:
+    """Let pixels without a distance take the anchors that are left."""
     points = far.rays * np.float32(FAR_M) + camera[:, None]
     distance_m = _distances(points)
     is_usable = (distance_m > 0) & (distance_m < np.inf) & np.isfinite(cloud.srgb[far.pixels]).all(axis=1)
     points[:, ~is_usable], distance_m[~is_usable] = 1, np.inf
-    is_reached, reaching = _nearest_points(nearest(points), distance_m, len(nearest_m))
-    is_new = is_reached & ~is_set
-    reaching = reaching[is_new[is_reached]]
-    nearest_m[is_new] = distance_m[reaching]
-    pixel_of_anchor = np.full(len(nearest_m), -1)
-    pixel_of_anchor[is_set], pixel_of_anchor[is_new] = winners, far.pixels[reaching]
-    if surfaces is not None:
-        surfaces = _seen_from_afar(surfaces, is_new, far.rays.T[reaching])
-    is_set = is_set | is_new
-    return is_set, pixel_of_anchor[is_set], surfaces
+    reaching = _nearest_points(nearest(points), distance_m, len(shown.point))
+    is_new = (reaching >= 0) & ~shown.is_set
+    reaching = reaching[is_new]
+    shown.distance_m[is_new], shown.point[is_new] = distance_m[reaching], far.pixels[reaching]
+    if shown.surfaces is not None:
+        shown.surfaces = shown.surfaces.with_far_light(is_new, far.rays.T[reaching])
 
 
-def _with_openings(
-    cloud: PointCloud, camera_m: ArrayF64, openings: ArrayInt, is_set: ArrayBool, winners: ArrayInt,
-    distance_m: ArrayF32, surfaces: AnchorSurfaces | None, lattice: AnchorLattice,
-    nearest: Callable[[ArrayF32], ArrayInt],
-) -> tuple[ArrayInt, AnchorSurfaces | None]:  # fmt: skip
+def _look_through_openings(
+    shown: _Shown, cloud: PointCloud, camera_m: ArrayF64, openings: ArrayInt, lattice: AnchorLattice, nearest: _Nearest
+) -> None:
     """What anchors show through an opening is far away, though it competes where the opening is.
 
     Light from far away depends on its direction and not on the place. So such an anchor shows the pixel of an opening
     that looks in its own direction, or of those that look within `MOST_ASIDE` of it the one that comes closest.
-    `distance_m` (N,) is changed in place; `winners` are the pixels of the anchors `is_set`, in order.
     """
     is_opening = np.zeros(len(cloud.srgb), np.bool_)  # numpy.isin sorts, which takes 20 times as long.
     is_opening[openings] = True
-    through = np.zeros(len(is_set), np.bool_)
-    through[is_set] = is_opening.take(winners)
-    distance_m[through] = np.maximum(distance_m[through], np.float32(FAR_M))
-    rays = _rays(cloud.points_m[openings], camera_m)
+    through = np.flatnonzero(shown.is_set)
+    through = through[is_opening[shown.point[through]]]
+    shown.distance_m[through] = np.maximum(shown.distance_m[through], np.float32(FAR_M))
+    rays = rays_to(cloud.points_m[openings], camera_m)
     is_usable = np.isfinite(rays).all(axis=1) & np.isfinite(cloud.srgb[openings]).all(axis=1)
     openings, rays = openings[is_usable], rays[is_usable]
-    if through.any() and len(openings):
+    if len(through) and len(openings):
         cells = nearest(np.ascontiguousarray(rays.T, np.float32))
         apart = np.square(rays - lattice.directions[cells]).sum(axis=1).astype(np.float32)
-        is_looked, looking = _nearest_points(cells, apart, lattice.n)
+        looking = _nearest_points(cells, apart, lattice.n)
+        looked_at = np.flatnonzero(looking >= 0)
         # Not a product of matrices: that wakes BLAS threads.
-        cosines = np.einsum("mc,kc->mk", lattice.directions[through], lattice.directions[is_looked])
-        closest, shown = cosines.argmax(axis=1), through[is_set]
+        cosines = np.einsum("mc,kc->mk", lattice.directions[through], lattice.directions[looked_at])
         is_near = cosines.max(axis=1) >= np.cos(MOST_ASIDE)
-        winners = winners.copy()
-        winners[shown] = np.where(is_near, openings[looking[closest]], winners[shown])
-    if surfaces is not None:
-        surfaces = _seen_from_afar(surfaces, through, _rays(cloud.points_m[winners[through[is_set]]], camera_m))
-    return winners, surfaces
+        closest = openings[looking[looked_at[cosines.argmax(axis=1)]]]
+        shown.point[through] = np.where(is_near, closest, shown.point[through])
+    if shown.surfaces is not None:
+        is_through = np.zeros(lattice.n, np.bool_)
+        is_through[through] = True
+        shown.surfaces = shown.surfaces.with_far_light(
+            is_through, rays_to(cloud.points_m[shown.point[through]], camera_m)
+        )
 
 
-def _rays(points_m: ArrayF32, camera_m: ArrayF64) -> ArrayF64:
+def rays_to(points_m: ArrayF32, camera_m: ArrayF64) -> ArrayF64:
     """(K, 3) unit, from the camera to points (K, 3); NaN where that is none."""
     rays = points_m.astype(np.float64) - camera_m
     with np.errstate(invalid="ignore"):  # A point in the camera itself has no ray: NaN says so.
         unit: ArrayF64 = rays / np.sqrt((rays * rays).sum(axis=1, keepdims=True))
     return unit
-
-
-def _seen_from_afar(surfaces: AnchorSurfaces, is_far: ArrayBool, rays: ArrayLike) -> AnchorSurfaces:
-    """Where anchors `is_far` (N,) show light from far away, along `rays` (K, 3), they face the position."""
-    one, view_direction = np.float32(1), surfaces.view_direction.copy()
-    view_direction[is_far] = -np.asarray(rays).reshape(-1, 3)
-    return AnchorSurfaces(
-        np.where(is_far, one, surfaces.facing),
-        np.where(is_far, one, surfaces.incidence),
-        np.where(is_far, np.float32(FAR_M), surfaces.camera_distance_m),
-        view_direction,
-        surfaces.is_edge,
-    )
 
 
 def sample_again(cloud: UnitSphereCloud, moved_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
@@ -225,95 +219,19 @@ def sample_again(cloud: UnitSphereCloud, moved_m: ArrayLike, lattice: AnchorLatt
     with np.errstate(over="ignore"):  # What is too far for float32 is taken for not seen.
         columns = np.ascontiguousarray(points_m[shown].T, np.float32)
     distance_m = _distances(columns)
-    is_set, winners = _nearest_points(lattice.nearest_to_columns(columns), distance_m, lattice.n)
+    winners = _nearest_points(lattice.nearest_to_columns(columns), distance_m, lattice.n)
+    is_set = winners >= 0
     source = np.zeros(lattice.n, np.intp)
-    source[is_set] = shown[winners]
+    source[is_set] = shown[winners[is_set]]
 
     def taken(values: Any) -> Any:
         return values[source] * (is_set if values.ndim == 1 else is_set[:, None])
 
     nearest_m = np.zeros(lattice.n, np.float32)
-    nearest_m[is_set] = distance_m[winners]
+    nearest_m[is_set] = distance_m[winners[is_set]]
     old = cloud.surfaces
     surfaces = None if old is None else AnchorSurfaces(*(taken(getattr(old, field.name)) for field in fields(old)))
     return UnitSphereCloud(taken(cloud.srgb), nearest_m, is_set, surfaces=surfaces)
-
-
-def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
-    """As `sample_unit_sphere`, point after point in float64: slow, and meant to be read and compared with."""
-    position = checked_position(position_m)
-    relative = cloud.points_m.astype(np.float64) - position
-    with np.errstate(over="ignore", invalid="ignore"):  # A distance beyond float32 is left out and counted below.
-        distance_m = np.sqrt((relative * relative).sum(axis=1)).astype(np.float32)
-    is_usable = np.isfinite(distance_m) & (distance_m > 0) & np.isfinite(cloud.srgb).all(axis=1)
-    nearest_m, winner = np.full(lattice.n, np.inf, np.float32), np.full(lattice.n, -1)
-
-    def compete(pixel: int, point: ArrayF64) -> None:
-        point_m = np.float32(np.sqrt((point * point).sum()))
-        anchor = int(np.argmax(lattice.directions @ point))
-        if point_m < nearest_m[anchor]:
-            nearest_m[anchor], winner[anchor] = point_m, pixel
-
-    for pixel in np.flatnonzero(is_usable):
-        compete(pixel, relative[pixel])
-    picture = None
-    if cloud.grid is not None:
-        anchors = lattice.nearest(np.where(is_usable[:, None], relative, 1.0), "brute")
-        picture = PlainPicture(cloud.grid, relative, is_usable, anchors, cloud.grid.camera_m - position)
-        for pixel, point in picture.patch_points(winner.copy()):
-            compete(pixel, point)
-    surfaces = picture.surfaces(winner, lattice.directions) if picture else None
-    if surfaces is not None and cloud.grid is not None and cloud.grid.far is not None:
-        is_near, rays = winner >= 0, dict(zip(cloud.grid.far.pixels.tolist(), cloud.grid.far.rays.T, strict=True))
-        for pixel, ray in rays.items():
-            point = ray.astype(np.float64) * FAR_M + (cloud.grid.camera_m - position)
-            is_free = not is_near[int(np.argmax(lattice.directions @ point))]
-            if is_free and 0 < np.linalg.norm(point) < LARGEST_FLOAT32 and np.isfinite(cloud.srgb[pixel]).all():
-                compete(pixel, point)
-        is_far = (winner >= 0) & ~is_near
-        surfaces = _seen_from_afar(surfaces, is_far, [rays[pixel] for pixel in winner[is_far].tolist()])
-    if surfaces is not None and cloud.grid is not None and cloud.grid.openings is not None:
-        through = np.isin(winner, cloud.grid.openings)
-        nearest_m = np.where(through, np.maximum(nearest_m, np.float32(FAR_M)), nearest_m)
-        looking = _looking_through(cloud, cloud.grid.camera_m, cloud.grid.openings, lattice)
-        for anchor in np.flatnonzero(through):
-            cosines = {cell: float(lattice.directions[cell] @ lattice.directions[anchor]) for cell in sorted(looking)}
-            closest = max(cosines, key=lambda cell: cosines[cell], default=None)
-            if closest is not None and cosines[closest] >= np.cos(MOST_ASIDE):
-                winner[anchor] = looking[closest]
-        surfaces = _seen_from_afar(surfaces, through, _rays(cloud.points_m[winner[through]], cloud.grid.camera_m))
-    is_set = winner >= 0
-    srgb = np.zeros((lattice.n, 3), np.float32)
-    srgb[is_set] = cloud.srgb[winner[is_set]].clip(0, 1)
-    invalid = added([cloud.invalid, _reasons(cloud, distance_m)])
-    return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, invalid, surfaces)
-
-
-def _looking_through(
-    cloud: PointCloud, camera_m: ArrayF64, openings: ArrayInt, lattice: AnchorLattice
-) -> dict[int, int]:
-    """By anchor, the pixel of an opening that looks closest to its direction, of those to which it is the nearest."""
-    looking: dict[int, tuple[float, int]] = {}
-    for pixel in openings.tolist():
-        ray = _rays(cloud.points_m[[pixel]], camera_m)[0]
-        if np.isfinite(ray).all() and np.isfinite(cloud.srgb[pixel]).all():
-            cell = int(np.argmax(lattice.directions @ ray.astype(np.float32)))
-            apart = float(np.float32(np.square(ray - lattice.directions[cell]).sum()))
-            if cell not in looking or apart < looking[cell][0]:
-                looking[cell] = apart, pixel
-    return {cell: pixel for cell, (_, pixel) in looking.items()}
-
-
-def _reasons(cloud: PointCloud, distance_m: ArrayF32) -> Counter[str]:
-    """Why points are left out, one after the other, as far as the cloud does not name it."""
-    reasons: Counter[str] = Counter()
-    for point, colour, point_m in zip(cloud.points_m, cloud.srgb, distance_m, strict=True):
-        if not np.isfinite(point_m):
-            reasons["too_far" if np.isfinite(point).all() else "not_finite"] += 1
-        elif not (point_m > 0 and np.isfinite(colour).all()):
-            reasons["colour_not_finite" if point_m else "at_probe"] += 1
-    reasons["not_finite"] -= sum(cloud.invalid.values())
-    return +reasons
 
 
 def sample_uniform(cloud: PointCloud, n: int, rng: np.random.Generator) -> PointCloud:
@@ -420,16 +338,15 @@ def _why_unusable(distance_m: ArrayF32, unusable: ArrayInt, cloud: PointCloud) -
     return added([cloud.invalid, own])
 
 
-def _nearest_points(anchors: ArrayInt, distance_m: ArrayF32, n_anchors: int) -> tuple[ArrayBool, ArrayInt]:
-    """Which anchors have a point at a finite distance, and the number of the nearest one for each of those."""
+def _nearest_points(anchors: ArrayInt, distance_m: ArrayF32, n_anchors: int) -> ArrayInt:
+    """(n_anchors,) the number of the nearest point of each anchor, -1 for one without a point at a finite distance."""
     # The bits of floats that are not negative rise with the floats.
     keys = distance_m.view(np.uint32).astype(np.uint64)
     keys <<= np.uint64(32)
     keys |= np.arange(len(keys), dtype=np.uint64)
     best = np.full(n_anchors, _NO_POINT)
     np.minimum.at(best, anchors, keys)
-    is_set: ArrayBool = best < _INFINITY_KEY
-    return is_set, (best[is_set] & np.uint64(2**32 - 1)).astype(np.intp)
+    return np.where(best < _INFINITY_KEY, (best & np.uint64(2**32 - 1)).astype(np.intp), -1)
 
 
 def has_usable_points(cloud: PointCloud) -> bool:

@@ -14,7 +14,8 @@ from xihenet.camera import encode_exposed, project_points, unproject_frame
 from xihenet.metering import metered_exposure
 from xihenet.metrics import angular_error_deg, image_rmse, normalized_rmse, psnr, shc_rmse, si_rmse, ssim
 from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
-from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sampling_reference import sample_unit_sphere_reference
 from xihenet.sh import dering, irradiance, project_anchors, rotate
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import TriggerSettings, decide_trigger

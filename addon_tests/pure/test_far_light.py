@@ -10,7 +10,8 @@ from xihenet.buffers import merge_in_sight
 from xihenet.camera import pixel_rays, project_points, unproject_frame
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.records import FAR_FROM_M, FAR_M, Intrinsics, UnitSphereCloud
-from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sampling_reference import sample_unit_sphere_reference
 from xihenet.sphere import AnchorLattice
 from xihenet.training.dataset import RoomChange
 from xihenet.trigger import TriggerSettings

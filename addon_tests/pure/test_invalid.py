@@ -21,7 +21,8 @@ from xihenet.io.exr import exr_attributes, read_exr, write_exr
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.phone import PhoneCamera, load_profile
 from xihenet.records import Intrinsics, LightEstimate, PointCloud, UnitSphereCloud
-from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sampling_reference import sample_unit_sphere_reference
 from xihenet.sphere import AnchorLattice
 
 N = 64

@@ -6,7 +6,8 @@ import pytest
 from addon_tests.pure.made import pose_of
 from xihenet.camera import pixel_rays, unproject_frame
 from xihenet.records import Intrinsics, PixelGrid, PointCloud, RgbdFrame
-from xihenet.sampling import sample_unit_sphere, sample_unit_sphere_reference
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sampling_reference import sample_unit_sphere_reference
 from xihenet.sphere import AnchorLattice
 
 LATTICE = AnchorLattice(1280)

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xihenet.records import PointCloud
-from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere, sample_unit_sphere_reference
+from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
+from xihenet.sampling_reference import sample_unit_sphere_reference
 from xihenet.sphere import AnchorLattice
 
 LATTICE = AnchorLattice(1280)

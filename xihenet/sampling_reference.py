@@ -1,16 +1,110 @@
-"""Patches of surface, pixel after pixel in float64: slow, and meant to be read and compared with `patches`.
+"""Unit-sphere sampling, point after point in float64: slow, and meant to be read and compared with.
 
-Only `sample_unit_sphere_reference` uses it. The rules and their reasons are in `patches`.
+The rules and their reasons are in `sampling` and `patches`.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from xihenet.invalid import added
 from xihenet.patches import FARTHEST_M, LEVEL_SHARE, MOST_ALONG, NEAREST_M, POINT_GAP, SAME_SURFACE
-from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF64, ArrayInt, PixelGrid
+from xihenet.records import (
+    FAR_M,
+    AnchorSurfaces,
+    ArrayBool,
+    ArrayF32,
+    ArrayF64,
+    ArrayInt,
+    PixelGrid,
+    PointCloud,
+    UnitSphereCloud,
+)
+from xihenet.sampling import MOST_ASIDE, checked_position, rays_to
+from xihenet.sphere import AnchorLattice
+
+LARGEST_FLOAT32 = np.finfo(np.float32).max
+
+
+def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
+    """As `sample_unit_sphere`."""
+    position = checked_position(position_m)
+    relative = cloud.points_m.astype(np.float64) - position
+    with np.errstate(over="ignore", invalid="ignore"):  # A distance beyond float32 is left out and counted below.
+        distance_m = np.sqrt((relative * relative).sum(axis=1)).astype(np.float32)
+    is_usable = np.isfinite(distance_m) & (distance_m > 0) & np.isfinite(cloud.srgb).all(axis=1)
+    nearest_m, winner = np.full(lattice.n, np.inf, np.float32), np.full(lattice.n, -1)
+
+    def compete(pixel: int, point: ArrayF64) -> None:
+        point_m = np.float32(np.sqrt((point * point).sum()))
+        anchor = int(np.argmax(lattice.directions @ point))
+        if point_m < nearest_m[anchor]:
+            nearest_m[anchor], winner[anchor] = point_m, pixel
+
+    for pixel in np.flatnonzero(is_usable):
+        compete(pixel, relative[pixel])
+    picture = None
+    if cloud.grid is not None:
+        anchors = lattice.nearest(np.where(is_usable[:, None], relative, 1.0), "brute")
+        picture = PlainPicture(cloud.grid, relative, is_usable, anchors, cloud.grid.camera_m - position)
+        for pixel, point in picture.patch_points(winner.copy()):
+            compete(pixel, point)
+    surfaces = picture.surfaces(winner, lattice.directions) if picture else None
+    if surfaces is not None and cloud.grid is not None and cloud.grid.far is not None:
+        is_near, rays = winner >= 0, dict(zip(cloud.grid.far.pixels.tolist(), cloud.grid.far.rays.T, strict=True))
+        for pixel, ray in rays.items():
+            point = ray.astype(np.float64) * FAR_M + (cloud.grid.camera_m - position)
+            is_free = not is_near[int(np.argmax(lattice.directions @ point))]
+            if is_free and 0 < np.linalg.norm(point) < LARGEST_FLOAT32 and np.isfinite(cloud.srgb[pixel]).all():
+                compete(pixel, point)
+        is_far = (winner >= 0) & ~is_near
+        surfaces = surfaces.with_far_light(is_far, [rays[pixel] for pixel in winner[is_far].tolist()])
+    if surfaces is not None and cloud.grid is not None and cloud.grid.openings is not None:
+        through = np.isin(winner, cloud.grid.openings)
+        nearest_m = np.where(through, np.maximum(nearest_m, np.float32(FAR_M)), nearest_m)
+        looking = _looking_through(cloud, cloud.grid.camera_m, cloud.grid.openings, lattice)
+        for anchor in np.flatnonzero(through):
+            cosines = {cell: float(lattice.directions[cell] @ lattice.directions[anchor]) for cell in sorted(looking)}
+            closest = max(cosines, key=lambda cell: cosines[cell], default=None)
+            if closest is not None and cosines[closest] >= np.cos(MOST_ASIDE):
+                winner[anchor] = looking[closest]
+        surfaces = surfaces.with_far_light(through, rays_to(cloud.points_m[winner[through]], cloud.grid.camera_m))
+    is_set = winner >= 0
+    srgb = np.zeros((lattice.n, 3), np.float32)
+    srgb[is_set] = cloud.srgb[winner[is_set]].clip(0, 1)
+    invalid = added([cloud.invalid, _reasons(cloud, distance_m)])
+    return UnitSphereCloud(srgb, np.where(is_set, nearest_m, 0), is_set, invalid, surfaces)
+
+
+def _looking_through(
+    cloud: PointCloud, camera_m: ArrayF64, openings: ArrayInt, lattice: AnchorLattice
+) -> dict[int, int]:
+    """By anchor, the pixel of an opening that looks closest to its direction, of those to which it is the nearest."""
+    looking: dict[int, tuple[float, int]] = {}
+    for pixel in openings.tolist():
+        ray = rays_to(cloud.points_m[[pixel]], camera_m)[0]
+        if np.isfinite(ray).all() and np.isfinite(cloud.srgb[pixel]).all():
+            cell = int(np.argmax(lattice.directions @ ray.astype(np.float32)))
+            apart = float(np.float32(np.square(ray - lattice.directions[cell]).sum()))
+            if cell not in looking or apart < looking[cell][0]:
+                looking[cell] = apart, pixel
+    return {cell: pixel for cell, (_, pixel) in looking.items()}
+
+
+def _reasons(cloud: PointCloud, distance_m: ArrayF32) -> Counter[str]:
+    """Why points are left out, one after the other, as far as the cloud does not name it."""
+    reasons: Counter[str] = Counter()
+    for point, colour, point_m in zip(cloud.points_m, cloud.srgb, distance_m, strict=True):
+        if not np.isfinite(point_m):
+            reasons["too_far" if np.isfinite(point).all() else "not_finite"] += 1
+        elif not (point_m > 0 and np.isfinite(colour).all()):
+            reasons["colour_not_finite" if point_m else "at_probe"] += 1
+    reasons["not_finite"] -= sum(cloud.invalid.values())
+    return +reasons
 
 
 @dataclass(frozen=True, eq=False)
