@@ -24,10 +24,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xihenet.camera import project_points
-from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.camera import in_view
+from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
 from xihenet.looks import Look, LookSettings
-from xihenet.metering import LUMINANCE
 from xihenet.records import (
     FAR_M,
     AnchorSurfaces,
@@ -185,9 +184,7 @@ def shown_by(
     points_m = unseen.points_m[candidates]
     in_a_picture = np.zeros(len(candidates), bool)
     for pose in poses:
-        pixels, plane_depth_m = project_points(points_m, intrinsics, pose)
-        inside = (plane_depth_m > 0) & (pixels >= 0).all(axis=1)
-        in_a_picture |= inside & (pixels < (intrinsics.width, intrinsics.height)).all(axis=1)
+        in_a_picture |= in_view(points_m, intrinsics, pose)
     is_unknown = known_m[lattice.nearest(points_m - poses[0][:3, 3])] == 0
     shown[candidates] = in_a_picture & is_unknown
     return shown

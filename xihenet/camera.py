@@ -20,7 +20,17 @@ from numpy.typing import ArrayLike
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.invalid import counted, left_out
 from xihenet.openings import with_openings
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, FarPixels, PixelGrid, PointCloud, RgbdFrame
+from xihenet.records import (
+    ArrayBool,
+    ArrayF32,
+    ArrayF64,
+    ArrayInt,
+    ArrayU8,
+    FarPixels,
+    PixelGrid,
+    PointCloud,
+    RgbdFrame,
+)
 from xihenet.records import Intrinsics as Intrinsics
 
 MISS_PLANE_DEPTH_M = 1e9  # At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit
@@ -236,7 +246,26 @@ def _cross(a: ArrayF64, b: ArrayF64) -> tuple[float, float, float]:
 
 def in_view(points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike) -> ArrayBool:
     """(P,) bool: which points of the world lie inside the image and in front of the camera; occlusion is not judged."""
+    return _is_inside(*project_points(points_m, intrinsics, world_from_camera), intrinsics)
+
+
+def pixels_in_view(
+    points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike
+) -> tuple[ArrayInt, ArrayInt, ArrayF64]:
+    """Points of the world (P, 3), metres, that a camera would see if nothing were in the way.
+
+    Returns
+    -------
+    points, pixels : (K,) which points lie in the picture and before the camera, and `row * width + column` of each
+    plane_depth_m : (K,) of each
+    """
     pixels, plane_depth_m = project_points(points_m, intrinsics, world_from_camera)
+    points = np.flatnonzero(_is_inside(pixels, plane_depth_m, intrinsics))
+    column, row = pixels[points].astype(np.intp).T
+    return points, row * intrinsics.width + column, plane_depth_m[points]
+
+
+def _is_inside(pixels: ArrayF64, plane_depth_m: ArrayF64, intrinsics: Intrinsics) -> ArrayBool:
     inside = (pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height])
     result: ArrayBool = inside.all(axis=1) & (plane_depth_m > 0)
     return result

@@ -16,6 +16,8 @@ CLIPPED_FROM = 253.5 / 255
 """An encoded colour is clipped where a channel is at least that: what is shown may be brighter. Between two codes of 8
 bits, so that a colour that is rounded to one is clipped as it was."""
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Of linear Rec.709, ITU-R BT.709
+
 
 def _clipped_floats(values: ArrayLike) -> NDArray[Any]:
     """`values` clipped to [0, 1]; float32 stays float32, all else becomes float64; NaN stays NaN."""

@@ -23,6 +23,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from xihenet.colour import LUMINANCE
 from xihenet.records import ArrayF32, ArrayF64
 
 Metering = Literal["highlights", "key"]
@@ -40,7 +41,6 @@ MOST_STOPS = 2
 
 BISECTIONS = 60  # Of the key: all that float64 can hold of it
 SMALLEST_KEY = 1e-300  # A darker session has no light to meter, and its exposure would not fit a float
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Of linear Rec.709, ITU-R BT.709
 
 
 def checked_metering(name: object) -> Metering:

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.metering import LUMINANCE
+from xihenet.colour import LUMINANCE
 from xihenet.records import ArrayBool, ArrayF64
 
 RANGE_TOLERANCE = 1e-4  # Renderers sum alpha and colour in float32 and end up a little above 1.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from xihenet.camera import MISS_PLANE_DEPTH_M
+from xihenet.camera import MISS_PLANE_DEPTH_M, pixel_rays
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import ArrayBool, ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
@@ -27,11 +27,8 @@ def reflected_directions(frame: RgbdFrame, centre_m: ArrayF64, radius_m: float) 
     Unit directions (H, W, 3), world, from which the light comes; the plane depth (H, W) of the sphere; and which pixels
     (H, W) lie on it, within `OUTERMOST` of its radius. The others are NaN.
     """
-    camera, rotation, place_m = frame.intrinsics, frame.world_from_camera[:3, :3], frame.world_from_camera[:3, 3]
-    right = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    up = -(np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    in_camera = np.stack([*np.meshgrid(right, up), np.full((camera.height, camera.width), -1.0)], axis=-1)
-    rays = in_camera @ rotation.T
+    rotation, place_m = frame.world_from_camera[:3, :3], frame.world_from_camera[:3, 3]
+    rays = pixel_rays(frame.intrinsics) @ rotation.T
     lengths = np.linalg.norm(rays, axis=-1, keepdims=True)
     rays = rays / lengths
     to_centre_m = centre_m - place_m

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from xihenet.camera import project_points, unproject_frame, valid_plane_depth
+from xihenet.camera import pixels_in_view, unproject_frame, valid_plane_depth
 from xihenet.records import ArrayBool, ArrayF64, ArrayInt, RgbdFrame
 
 Item = TypeVar("Item")
@@ -136,13 +136,11 @@ def air_places(
 
 def _in_front_of_surfaces(points_m: ArrayF64, frame: RgbdFrame, reach_m: float) -> ArrayBool:
     """Whether each point (K, 3) is in the picture, within reach and nearer than what its pixel shows."""
-    pixels, depth_m = project_points(points_m, frame.intrinsics, frame.world_from_camera)
-    size = (frame.intrinsics.width, frame.intrinsics.height)
-    inside = (depth_m > 0) & (pixels >= 0).all(axis=1) & (pixels < size).all(axis=1)
-    inside &= np.linalg.norm(points_m - frame.world_from_camera[:3, 3], axis=1) <= reach_m
-    column, row = np.where(inside[:, None], pixels, 0).astype(int).T
-    behind = np.where(valid_plane_depth(frame.plane_depth_m), frame.plane_depth_m, 0)[row, column]
-    is_in_front: ArrayBool = inside & (depth_m < behind)
+    points, pixels, depth_m = pixels_in_view(points_m, frame.intrinsics, frame.world_from_camera)
+    shown_m = np.where(valid_plane_depth(frame.plane_depth_m), frame.plane_depth_m, 0).ravel()[pixels]
+    is_in_reach = np.linalg.norm(points_m[points] - frame.world_from_camera[:3, 3], axis=1) <= reach_m
+    is_in_front = np.zeros(len(points_m), bool)
+    is_in_front[points] = is_in_reach & (depth_m < shown_m)
     return is_in_front
 
 

@@ -37,10 +37,9 @@ from xihe_blender.previs.run_chain import WalkedPath
 from xihe_blender.previs.settings import PrevisSettings
 from xihenet.buffers import merge_in_sight
 from xihenet.camera import unproject_frame
-from xihenet.colour import srgb_to_linear
+from xihenet.colour import LUMINANCE, srgb_to_linear
 from xihenet.io.recording import load_frame
 from xihenet.light.reflections import N_DIRECTIONS, thinned
-from xihenet.metering import LUMINANCE
 from xihenet.records import ArrayBool, ArrayF64, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice

@@ -10,10 +10,9 @@ from addon_tests.pure.test_light_change import POSITION, looking
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.camera import sensed_ambient
-from xihenet.colour import linear_to_srgb
+from xihenet.colour import LUMINANCE, linear_to_srgb
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.light.carried_light import BLEND_S, MOST_GAIN, CarriedLight, blended
-from xihenet.metering import LUMINANCE
 from xihenet.metrics import shc_rmse
 from xihenet.phone import LINKS, EstimatesUnderWay
 from xihenet.records import KeyLight, LightEstimate, ObjectLight, UnitSphereCloud

@@ -28,11 +28,11 @@ from addon_tests.pure.frame_makers import (
 )
 from addon_tests.pure.made import pose_of, random_rotation
 from xihenet.camera import encode_exposed, unproject_frame, valid_plane_depth
-from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
 from xihenet.io import frame_files, image_files, openexr_package
 from xihenet.io.frame_files import read_camera, read_frame
 from xihenet.io.image_files import area_averaged
-from xihenet.metering import KEY_LUMINANCE, LUMINANCE
+from xihenet.metering import KEY_LUMINANCE
 
 ROOT = Path(__file__).resolve().parents[2]
 RADIANCE, PLANE_DEPTH_M = box_radiance_and_plane_depth()

@@ -5,8 +5,7 @@ import pytest
 
 from addon_tests.pure.made import frame_of
 from xihenet.camera import encode_exposed
-from xihenet.colour import srgb_to_linear
-from xihenet.metering import LUMINANCE
+from xihenet.colour import LUMINANCE, srgb_to_linear
 from xihenet.phone.exposure import AutoExposure, FrameRate, delivered_frames, expose, follow_exposure, step_exposure
 from xihenet.phone.light_sensor import (
     LightSensor,

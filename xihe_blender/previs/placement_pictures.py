@@ -15,7 +15,7 @@ from xihe_blender.io.outputs import write_picture
 from xihe_blender.io.placement_results import N_EXTREMES, PlacementResults, best_first, error_range
 from xihe_blender.previs.room_from_above import WIDTH_PX, RoomFromAbove
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
-from xihenet.metering import LUMINANCE
+from xihenet.colour import LUMINANCE
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
 BRIGHT, WHITE_AT = 200.0, 95.0

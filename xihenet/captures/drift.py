@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xihenet.camera import unproject_frame
+from xihenet.camera import pixels_in_view, unproject_frame
 from xihenet.captures.gain_graph import Pair, solve_gains
-from xihenet.captures.seen_again import away_from_edges, pixels_of_points, thinned
+from xihenet.captures.seen_again import away_from_edges, thinned
 from xihenet.colour import srgb_to_linear
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
@@ -190,7 +190,7 @@ def _readable(frame: RgbdFrame) -> ArrayBool:
 
 def _same_surface(points_m: ArrayF32, frame: RgbdFrame, is_readable: ArrayBool) -> tuple[ArrayInt, ArrayInt]:
     """Which of points (P, 3) the frame shows where it is readable, and in which pixel each."""
-    points, pixels, expected_m = pixels_of_points(points_m, frame.intrinsics, frame.world_from_camera)
+    points, pixels, expected_m = pixels_in_view(points_m, frame.intrinsics, frame.world_from_camera)
     measured_m = frame.plane_depth_m.ravel()[pixels]
     is_same = is_readable.ravel()[pixels]
     is_same[is_same] = np.abs(expected_m - measured_m)[is_same] < SAME_DEPTH * measured_m[is_same]

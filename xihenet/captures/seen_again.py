@@ -8,10 +8,9 @@ pixel of error in a pose puts another surface there.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from xihenet.camera import project_points, valid_plane_depth
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics
+from xihenet.camera import valid_plane_depth
+from xihenet.records import ArrayBool, ArrayF32, ArrayInt
 
 EDGE_STEP = 0.1  # A pixel and its neighbour whose plane depth differs by more than this share are not of one surface
 
@@ -37,20 +36,3 @@ def thinned(pixels: ArrayInt, most: int) -> ArrayInt:
     if len(pixels) <= most:
         return pixels
     return pixels[np.linspace(0, len(pixels) - 1, most).astype(np.intp)]
-
-
-def pixels_of_points(
-    points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike
-) -> tuple[ArrayInt, ArrayInt, ArrayF64]:
-    """Points of the world (P, 3), metres, that a camera would see if nothing were in the way.
-
-    Returns
-    -------
-    points, pixels : (K,) which points lie in the picture and before the camera, and `row * width + column` of each
-    plane_depth_m : (K,) of each
-    """
-    pixels, plane_depth_m = project_points(points_m, intrinsics, world_from_camera)
-    size = [intrinsics.width, intrinsics.height]
-    points = np.flatnonzero((plane_depth_m > 0) & ((pixels >= 0) & (pixels < size)).all(axis=1))
-    column, row = pixels[points].astype(np.intp).T
-    return points, row * intrinsics.width + column, plane_depth_m[points]

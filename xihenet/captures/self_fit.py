@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xihenet.camera import pixel_rays
-from xihenet.captures.seen_again import away_from_edges, pixels_of_points, thinned
+from xihenet.camera import pixel_rays, pixels_in_view
+from xihenet.captures.seen_again import away_from_edges, thinned
 from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
 
@@ -102,7 +102,7 @@ class Recording:
             if not asked:
                 continue
             pair = np.repeat(np.arange(len(asked)), [len(points) for points in in_camera])
-            points, pixels, depth_m = pixels_of_points(np.concatenate(in_camera), intrinsics, np.eye(4))
+            points, pixels, depth_m = pixels_in_view(np.concatenate(in_camera), intrinsics, np.eye(4))
             camera_of = np.array([i for i, _ in asked])[pair[points]]
             measured = np.empty(len(points))
             for i in numbers:

@@ -27,10 +27,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
 from xihenet.light.key_light import mean_light
 from xihenet.light_change import ENCODED_BRIGHTEST, ENCODED_DARKEST, LightFollowing, light_change
-from xihenet.metering import LUMINANCE
 from xihenet.records import ArrayBool, ArrayF64, KeyLight, LightEstimate, ObjectLight, UnitSphereCloud
 from xihenet.trigger import MOST_UNCHANGED, SMALLEST_STOPS, seen_from_another_angle
 

@@ -26,8 +26,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.colour import srgb_to_linear
-from xihenet.metering import LUMINANCE
+from xihenet.colour import LUMINANCE, srgb_to_linear
 from xihenet.records import ArrayBool, ArrayF64, KeyLight, ObjectLight, UnitSphereCloud
 from xihenet.sh_basis import checked_sh
 from xihenet.sphere import AnchorLattice

@@ -22,9 +22,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from xihenet.colour import srgb_to_linear
+from xihenet.colour import LUMINANCE, srgb_to_linear
 from xihenet.light.key_light import SAME_LIGHT_COSINE, WHITE, sure_part, sure_share
-from xihenet.metering import LUMINANCE
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions, solid_angles
 from xihenet.records import (

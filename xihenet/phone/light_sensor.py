@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.metering import LUMINANCE
+from xihenet.colour import LUMINANCE
 from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayF64
 

@@ -19,8 +19,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihenet.colour import LUMINANCE
 from xihenet.light.light_picture import SPHERES, sphere_transfer
-from xihenet.metering import LUMINANCE
 from xihenet.metrics import angles_deg, hues
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sh import cosine_lobe
