@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.records import RgbdFrame
 
 
 def set_by_hand(capture: Capture, *, scale: float = 1.0, floor_m: float = 0.0) -> Capture:
@@ -28,10 +27,8 @@ def set_by_hand(capture: Capture, *, scale: float = 1.0, floor_m: float = 0.0) -
 def _placed(frame: CapturedFrame, scale: float, floor_m: float) -> CapturedFrame:
     pose = frame.camera.world_from_camera.copy()
     pose[:3, 3] = scale * pose[:3, 3] - (0, 0, floor_m)
-    camera = replace(frame.camera, world_from_camera=pose)
-    return replace(frame, camera=camera, load=partial(_loaded, frame, pose, scale))
 
+    def placed(read: RgbdFrame) -> RgbdFrame:
+        return replace(read, world_from_camera=pose, plane_depth_m=read.plane_depth_m * np.float32(scale))
 
-def _loaded(frame: CapturedFrame, pose: ArrayF64, scale: float) -> RgbdFrame:
-    read = frame.load()
-    return replace(read, world_from_camera=pose, plane_depth_m=read.plane_depth_m * np.float32(scale))
+    return frame.changed(placed, replace(frame.camera, world_from_camera=pose))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from xihenet.io.frame_files import FrameCamera, read_frame
+from xihenet.io.frame_files import FrameCamera
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.trigger import TriggerSettings
 
@@ -35,16 +35,9 @@ class CapturedFrame:
         """Raises as `load`."""
         return replace(self.load(), frame=self.number, time_s=self.time_s)
 
-
-def picture_frame(
-    number: int, time_s: float, camera: FrameCamera, colour: Path, plane_depth: Path, metres_per_unit: float
-) -> CapturedFrame:
-    """A frame that is two image files, that of plane depth of 16 bits."""
-
-    def load() -> RgbdFrame:
-        return read_frame(colour, camera, plane_depth=plane_depth, depth_scale=metres_per_unit, exposure=1.0)
-
-    return CapturedFrame(number, time_s, camera, load, colour)
+    def changed(self, change: Callable[[RgbdFrame], RgbdFrame], camera: FrameCamera | None = None) -> CapturedFrame:
+        """The same moment, read as `change` makes it of what is read, with the camera that it has then."""
+        return replace(self, camera=camera or self.camera, load=lambda: change(self.load()))
 
 
 @dataclass(frozen=True, eq=False)

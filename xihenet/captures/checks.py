@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.captures.capture import Capture
 from xihenet.captures.conventions import suspect
 from xihenet.captures.drift import Drift, follow_drift
 from xihenet.captures.self_fit import MOST_FRAMES
@@ -32,14 +32,9 @@ def steadied(capture: Capture) -> tuple[Capture, Drift]:
     Every frame is read once for it. Raises as `CapturedFrame.read`.
     """
     drift = follow_drift(capture)
-    frames = [_with(frame, gains) for frame, gains in zip(capture.frames, drift.gains, strict=True)]
+    frames = [frame.changed(partial(_with, gains)) for frame, gains in zip(capture.frames, drift.gains, strict=True)]
     return replace(capture, frames=frames), drift
 
 
-def _with(frame: CapturedFrame, gains: ArrayF64) -> CapturedFrame:
-    return replace(frame, load=partial(_loaded, frame, gains))
-
-
-def _loaded(frame: CapturedFrame, gains: ArrayF64) -> RgbdFrame:
-    read = frame.load()
+def _with(gains: ArrayF64, read: RgbdFrame) -> RgbdFrame:
     return replace(read, white_balance=gains if read.white_balance is None else read.white_balance * gains)

@@ -142,15 +142,7 @@ def rotation_between(start: ArrayF64, end: ArrayF64) -> ArrayF64:
 
 def _turned(frame: CapturedFrame, turn: ArrayF64) -> CapturedFrame:
     """`frame` in a world that is turned by (3, 3)."""
-
-    def load() -> RgbdFrame:
-        return replace(loaded := frame.load(), world_from_camera=turned(loaded.world_from_camera))
-
-    def turned(pose: ArrayF64) -> ArrayF64:
-        result = pose.copy()
-        result[:3] = turn @ pose[:3]
-        return result
-
-    seen = frame.camera
-    camera = FrameCamera(seen.intrinsics, turned(seen.world_from_camera), turn @ seen.blender_from_file)
-    return CapturedFrame(frame.number, frame.time_s, camera, load)
+    pose = frame.camera.world_from_camera.copy()
+    pose[:3] = turn @ pose[:3]
+    camera = FrameCamera(frame.camera.intrinsics, pose, turn @ frame.camera.blender_from_file)
+    return frame.changed(lambda read: replace(read, world_from_camera=pose), camera)

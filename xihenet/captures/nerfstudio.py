@@ -9,7 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from xihenet.captures.capture import Capture, inside, n_frames, picture_frame
+from xihenet.captures.capture import Capture, inside, n_frames
+from xihenet.captures.phone_frame import picture_frame
 from xihenet.captures.values import number_in, side_in
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.io.json_files import read_json

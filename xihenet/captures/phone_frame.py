@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.camera import sensed_ambient, sound_plane_depth, valid_plane_depth
+from xihenet.captures.capture import CapturedFrame
 from xihenet.invalid import counted
 from xihenet.io.frame_files import FrameCamera, intrinsics_for
 from xihenet.io.image_files import read_colour, read_grey, read_plane_depth, shrunk_colour
@@ -80,6 +81,23 @@ def confidence_levels(stored: ArrayU8) -> ArrayU8:
     if not stored.size or stored.max() <= LARGEST_LEVEL:
         return stored
     return ((stored > 0).astype(np.uint8) + (stored >= HIGH)).astype(np.uint8)
+
+
+def picture_frame(
+    number: int,
+    time_s: float,
+    camera: FrameCamera,
+    colour: Path,
+    plane_depth: Path,
+    metres_per_unit: float,
+    confidence: Path | None = None,
+) -> CapturedFrame:
+    """A moment that is two image files, that of plane depth of 16 bits; or three, of which the third may be missing."""
+
+    def load() -> RgbdFrame:
+        return phone_frame(colour, None, read_measured(plane_depth, metres_per_unit, confidence), camera)
+
+    return CapturedFrame(number, time_s, camera, load, colour)
 
 
 def phone_frame(colour: Path, of_colour: bytes | ArrayU8 | None, depth: Measured, camera: FrameCamera) -> RgbdFrame:

@@ -15,17 +15,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, CapturedFrame, n_frames
-from xihenet.captures.phone_frame import phone_frame, read_measured
+from xihenet.captures.capture import Capture, n_frames
+from xihenet.captures.phone_frame import picture_frame
 from xihenet.captures.values import FARTHEST_M, number_in, numbers, pose_numbers, pose_of, times_go_back
-from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, FrameCamera, camera_facts, frame_camera
+from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, camera_facts, frame_camera
 from xihenet.io.json_files import read_json
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.records import ArrayF64
 
 FILE, LINES = "camera.json", "poses.txt"
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".ppm", ".pgm")
@@ -63,8 +62,8 @@ def read(folder: Path, up: str | None) -> Capture:
             raise ValueError(f"{folder}, pose of {colour.name}: {error}") from error
         time_s = i / fps if times_s is None else float(times_s[i] - times_s[0])
         confidence = folder / "confidence" / f"{colour.stem}.png"
-        load = partial(_load, colour, depths[colour.stem], metres_per_unit, confidence, camera)
-        frames.append(CapturedFrame(i + 1, time_s, camera, load, colour))
+        depth = depths[colour.stem]
+        frames.append(picture_frame(i + 1, time_s, camera, colour, depth, metres_per_unit, confidence))
     if not frames:
         raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name (expected finite numbers)")
     notes = times_go_back([frame.time_s for frame in frames])
@@ -117,7 +116,3 @@ def _words(path: Path, separator: str | None = None) -> list[str]:
         return path.read_text(encoding="utf-8-sig").split(separator)
     except UnicodeDecodeError:
         raise ValueError(f"{path}: expected numbers as text") from None
-
-
-def _load(colour: Path, plane_depth: Path, metres_per_unit: float, confidence: Path, camera: FrameCamera) -> RgbdFrame:
-    return phone_frame(colour, None, read_measured(plane_depth, metres_per_unit, confidence), camera)

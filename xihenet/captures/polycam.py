@@ -8,17 +8,16 @@ do not fit together. Names are times, taken to be in microseconds.
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
-from xihenet.captures.phone_frame import phone_frame, read_measured
+from xihenet.captures.phone_frame import picture_frame
 from xihenet.captures.values import FARTHEST_M, number_in, side_in
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import read_json
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.records import Intrinsics
 
 METRES_PER_UNIT, SECONDS_PER_UNIT = 1e-3, 1e-6
 SETS = ("corrected_", "")
@@ -46,8 +45,8 @@ def read(folder: Path, up: str | None) -> Capture:
             continue
         time_s = (int(path.stem) - int(paths[0].stem)) * SECONDS_PER_UNIT if are_times else i * SPAN_S
         camera = _camera(path, up)
-        load = partial(_load, colour, plane_depth, keyframes / "confidence" / f"{path.stem}.png", camera)
-        frames.append(CapturedFrame(i + 1, time_s, camera, load, colour))
+        confidence = keyframes / "confidence" / f"{path.stem}.png"
+        frames.append(picture_frame(i + 1, time_s, camera, colour, plane_depth, METRES_PER_UNIT, confidence))
     if not frames:
         raise ValueError(f"{keyframes}: no camera has colour and depth: record with LiDAR, and export raw data")
     notes = ["Cameras are those that Polycam has corrected."] if which else []
@@ -75,7 +74,3 @@ def _camera(path: Path, up: str) -> FrameCamera:
         return frame_camera(intrinsics, [*rows, [0, 0, 0, 1]], up=up)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-def _load(colour: Path, plane_depth: Path, confidence: Path, camera: FrameCamera) -> RgbdFrame:
-    return phone_frame(colour, None, read_measured(plane_depth, METRES_PER_UNIT, confidence), camera)
