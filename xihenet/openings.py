@@ -40,7 +40,7 @@ def with_openings(plane_depth_m: ArrayF32, is_valid: ArrayBool) -> ArrayF32:
     if not len(inside) or not is_valid.any():
         return plane_depth_m
     width = plane_depth_m.shape[1]
-    of_inside, n_holes = connected(inside, plane_depth_m.shape)
+    of_inside, n_holes = _connected(inside, plane_depth_m.shape)
     of_rim, rim = _rim(inside, of_inside, is_valid)
     n_inside = np.bincount(of_inside, minlength=n_holes)
     middle = np.stack([np.bincount(of_inside, at, n_holes) / n_inside for at in np.divmod(inside, width)])
@@ -70,11 +70,11 @@ def with_openings(plane_depth_m: ArrayF32, is_valid: ArrayBool) -> ArrayF32:
     return filled
 
 
-def connected(inside: ArrayInt, shape: tuple[int, ...]) -> tuple[ArrayInt, int]:
+def _connected(inside: ArrayInt, shape: tuple[int, ...]) -> tuple[ArrayInt, int]:
     """(K,) to which part each of the pixels `inside` (K,), ascending, belongs, and how many parts there are.
 
-    Parts hang together by the edges of pixels of a picture of `shape` (H, W). Runs along rows are joined with those
-    that they touch above, until no number changes.
+    Parts hang together by the edges of pixels of a picture of `shape` (H, W): runs along rows with those that they
+    touch above.
     """
     width = shape[1]
     starts = np.ones(len(inside), np.bool_)
@@ -87,16 +87,21 @@ def connected(inside: ArrayInt, shape: tuple[int, ...]) -> tuple[ArrayInt, int]:
     is_new = np.ones(pairs.shape[1], np.bool_)
     is_new[1:] = (np.diff(pairs) != 0).any(axis=0)
     pairs = pairs[:, is_new]
-    part = np.arange(np.count_nonzero(starts))
+    numbers, of_run = np.unique(joined(np.count_nonzero(starts), pairs), return_inverse=True)
+    return of_run[run], len(numbers)
+
+
+def joined(n: int, together: ArrayInt) -> ArrayInt:
+    """(n,) the smallest number among those that hang together with each; of `together` (K, M) each column does."""
+    part = np.arange(n)
     while True:
-        joined, lowest = part.copy(), part[pairs].min(axis=0)
-        for side in pairs:
-            np.minimum.at(joined, part[side], lowest)
-        joined = joined[joined]
-        if (joined == part).all():
-            numbers, of_run = np.unique(part, return_inverse=True)
-            return of_run[run], len(numbers)
-        part = joined
+        after, lowest = part.copy(), part[together].min(axis=0)
+        for side in together:
+            np.minimum.at(after, part[side], lowest)
+        after = after[after]
+        if (after == part).all():
+            return part
+        part = after
 
 
 def _rim(inside: ArrayInt, of_inside: ArrayInt, is_valid: ArrayBool) -> tuple[ArrayInt, ArrayInt]:

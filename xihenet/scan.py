@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from xihenet.camera import valid_plane_depth
 from xihenet.colour import srgb_to_linear
+from xihenet.openings import joined
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
 
 SIDE = 8
@@ -343,25 +344,10 @@ def _unpacked(keys: NDArray[np.int64]) -> ArrayInt:
 
 def _without_pieces(mesh: ScanMesh) -> ScanMesh:
     """`mesh` without pieces of fewer faces than SMALLEST_PIECE."""
-    labels = _piece_of_points(len(mesh.points_m), mesh.quads)
+    labels = joined(len(mesh.points_m), mesh.quads.T)
     n_faces = np.bincount(labels[mesh.quads[:, 0]], minlength=len(labels))
     quads = mesh.quads[n_faces[labels[mesh.quads[:, 0]]] >= SMALLEST_PIECE]
     is_kept = np.zeros(len(mesh.points_m), bool)
     is_kept[quads] = True
     renumbered = np.cumsum(is_kept) - 1
     return ScanMesh(mesh.points_m[is_kept], renumbered[quads], mesh.colours[is_kept], mesh.is_cut)
-
-
-def _piece_of_points(n: int, quads: ArrayInt) -> NDArray[np.int64]:
-    """(n,) the smallest number among the points that hang together with each."""
-    labels: NDArray[np.int64] = np.arange(n)
-    while True:
-        least = labels[quads].min(axis=1)
-        after = labels.copy()
-        for corner in range(4):
-            np.minimum.at(after, labels[quads[:, corner]], least)
-            np.minimum.at(after, quads[:, corner], least)
-        after = after[after]
-        if np.array_equal(after, labels):
-            return labels
-        labels = after

@@ -78,8 +78,6 @@ class EdgeBackend:
         self.n_answered = self.n_opened = 0
         self.times_s: deque[float] = deque(maxlen=MOST_KEPT_TIMES)
         """Of the last answers, from the first try on."""
-        self.last_light: tuple[ArrayF64, float | None] | None = None
-        """The last good one, and the error expected of it."""
         self.name, self.farthest_m = "", float("inf")
         with self._lock:
             self.connection.persist(lambda: dict(self._open()))
@@ -108,9 +106,7 @@ class EdgeBackend:
             answer = self.connection.persist(lambda: self._light(payload, headers))
             self.n_answered += 1
             self.times_s.append(time.perf_counter() - start)
-            light = _light_of(answer)
-            self.last_light = light
-            return light
+            return _light_of(answer)
 
     def estimate_together(
         self, clouds: Sequence[UnitSphereCloud], contexts: Sequence[EstimateContext]

@@ -62,7 +62,7 @@ class PatientConnection:
         self.lost_since: float | None = None
         """Of the monotonic clock, while the last attempt had no answer."""
         self.last_failure, self._rests_until = "", 0.0
-        self.n_retries = self.n_failed = self.bytes_sent = 0
+        self.n_retries = self.n_failed = 0
 
     def is_resting(self) -> bool:
         """Whether an attempt has failed so lately that the next one is not worth its time."""
@@ -97,7 +97,6 @@ class PatientConnection:
             connection.request(method, path, body, {**self._always, **headers})
             response = connection.getresponse()
             status, text = response.status, response.read()
-            self.bytes_sent += len(body)
             answer = json.loads(text)
         except (OSError, http.client.HTTPException, ValueError) as error:
             self.close()

@@ -181,7 +181,6 @@ class MemoryStore:
         # Least recently used first, as dictionaries keep their order and a session that is used moves to the end.
         self._kept: dict[str, _Kept] = {}
         self._n_positions = 0
-        self.n_expired = self.n_evicted = 0
 
     def check(self) -> None:
         """It is always there."""
@@ -256,7 +255,6 @@ class MemoryStore:
         while self._kept and now - next(iter(self._kept.values())).used_s > self.limits.idle_s:
             self.delete(next(iter(self._kept)))
             n += 1
-        self.n_expired += n
         return n
 
     def _used(self, session_id: str) -> _Kept | None:
@@ -280,7 +278,6 @@ class MemoryStore:
         if oldest is None or self._clock() - self._kept[oldest].used_s < self.limits.least_idle_s:
             raise StoreFull(full)
         self.delete(oldest)
-        self.n_evicted += 1
 
 
 def _mark_of(seen: SeenPosition | None) -> int | None:

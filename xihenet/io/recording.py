@@ -89,19 +89,8 @@ def load_frame(path: Path) -> RgbdFrame:
         header = _header(said, channels["Z"].shape)
         srgb_u8 = np.stack([_bytes_of_light(channels[name]) for name in "RGB"], axis=-1)
         confidence = channels["confidence"].astype(np.uint8) if "confidence" in channels else None
-        return RgbdFrame(
-            srgb_u8,
-            channels["Z"].astype(np.float32, copy=False),
-            header.intrinsics,
-            header.world_from_camera,
-            header.exposure,
-            header.ambient,
-            header.time_s,
-            header.frame,
-            header.invalid,
-            header.white_balance,
-            confidence,
-        )
+        plane_depth_m = channels["Z"].astype(np.float32, copy=False)
+        return RgbdFrame(srgb_u8, plane_depth_m, confidence=confidence, **vars(header))
     except (LookupError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: not a recorded frame ({error})") from None
 

@@ -165,12 +165,7 @@ def check_trainable(settings: TrainSettings, content: Content) -> None:
 def _read_checkpoint(settings: TrainSettings, content: Content) -> dict[str, Any]:
     path = settings.out / "checkpoint.pt"
     kept = networks.read_torch(path, settings.device)
-    if "clouds" not in kept:
-        raise ValueError(
-            f"{path}: a training that an older xihe began, which kept nothing of its rooms and cannot be resumed; "
-            "choose another --out or remove the folder"
-        )
-    pairs = ((kept["settings"], settings.decisive()), (kept["clouds"], content))
+    pairs = ((kept.get("settings", {}), settings.decisive()), (kept.get("clouds", {}), content))
     other = [name for old, new in pairs for name in old.keys() | new.keys() if old.get(name) != new.get(name)]
     if other:
         said = ", ".join(sorted({SAID.get(name, name.replace("_", "-")) for name in other}))
