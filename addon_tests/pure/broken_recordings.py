@@ -8,7 +8,6 @@ import json
 import shutil
 import struct
 import zipfile
-from functools import partial
 
 import numpy as np
 from PIL import Image
@@ -21,7 +20,7 @@ from addon_tests.pure.recordings import (
     as_polycam,
     as_record3d,
     as_seven_scenes,
-    as_stray,
+    as_stray_of_one_camera,
     as_tum,
     walk,
 )
@@ -315,7 +314,7 @@ def another_codec(path):
 def video_that_ends(path):
     """Of six pictures, and the header comes first, as for streaming; half of the last one is not there any more."""
     shutil.rmtree(path)
-    as_stray(path, walk(SMALL, 6), has_intrinsics=False)
+    as_stray_of_one_camera(path, walk(SMALL, 6))
     move_header_to_the_start(path / VIDEO)
     cut(VIDEO, -10)(path)
 
@@ -655,7 +654,7 @@ SMALL_TUM = Intrinsics(64, 48, 52.5, 52.5, 32.0, 24.0)
 SMALL_SCENES = Intrinsics(64, 48, 58.5, 58.5, 32.0, 24.0)
 FORMATS = {
     "Record3D": (as_record3d, SMALL, RECORD3D),
-    "Stray Scanner": (partial(as_stray, has_intrinsics=False), SMALL, STRAY),
+    "Stray Scanner": (as_stray_of_one_camera, SMALL, STRAY),
     "Polycam": (as_polycam, SMALL, POLYCAM),
     "plain folder": (as_plain, SMALL, PLAIN),
     "Nerfstudio": (as_nerfstudio, SMALL, NERFSTUDIO),

@@ -56,18 +56,30 @@ def as_nerfstudio(folder, frames):
     return folder
 
 
-def as_record3d(folder, frames, **options):
-    record3d.write(folder / "walk.r3d", frames, Form(colour_scale=4), **options)
+def as_record3d(folder, frames):
+    record3d.write(folder / "walk.r3d", frames, Form(colour_scale=4))
     return folder / "walk.r3d"
 
 
-def as_stray(folder, frames, **options):
-    stray.write(folder, frames, Form(colour_scale=2), **options)
+def as_stray(folder, frames):
+    stray.write(folder, frames, Form(colour_scale=2))
+    return folder
+
+
+def as_stray_of_one_camera(folder, frames):
+    """Intrinsics in camera_matrix.csv alone."""
+    odometry = as_stray(folder, frames) / "odometry.csv"
+    lines = [line.split(", ")[:9] for line in odometry.read_text().splitlines()]
+    odometry.write_text("".join(", ".join(line) + "\n" for line in lines))
     return folder
 
 
 def as_older_stray(folder, frames):
-    return as_stray(folder, frames, has_intrinsics=False, is_npy=True)
+    as_stray_of_one_camera(folder, frames)
+    for path in (folder / "depth").glob("*.png"):
+        np.save(path.with_suffix(".npy"), np.asarray(Image.open(path)))
+        path.unlink()
+    return folder
 
 
 def as_tum(folder, frames):

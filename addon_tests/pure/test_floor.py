@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from addon_tests.pure.broken_recordings import metadata
 from addon_tests.pure.recordings import PACKED, SMALL, as_record3d, as_seven_scenes, looking, seen, walk
 from xihenet.captures import open_capture
 from xihenet.captures.floor import floor_normal, rotation_between
@@ -81,7 +82,9 @@ def test_without_a_floor_in_sight_the_usual_axis_is_taken_and_said(tmp_path):
 @pytest.mark.parametrize("pitch", [-0.6, -0.2])
 def test_the_first_camera_of_record3d_need_not_be_upright(tmp_path, pitch):
     frames = looking_down(SMALL, pitch=pitch)
-    capture = open_capture(as_record3d(tmp_path, frames, has_init_pose=False))
+    path = as_record3d(tmp_path / "older", frames)
+    metadata(initPose=None)(path)
+    capture = open_capture(path)
     assert off_degrees(capture, frames) < 1
     assert any("degrees from +Y" in note and "Up is the normal" in note for note in capture.notes)
     with_pose = open_capture(as_record3d(tmp_path, frames))

@@ -35,7 +35,6 @@ class Video:
     ----------
     width, height : of its pictures, pixels
     n_frames : pictures that lie in the file
-    n_said : pictures that it says it has
     """
 
     def __init__(self, path: Path) -> None:
@@ -45,7 +44,7 @@ class Video:
             stream = self._stream(container)
             self.width, self.height = int(stream.codec_context.width), int(stream.codec_context.height)
             check_size(path, self.height, self.width)
-            self.n_said, self.n_frames = _n_frames(container, stream, path.stat().st_size)
+            self.n_frames = _n_frames(container, stream, path.stat().st_size)
         finally:
             container.close()
         if not self.n_frames:
@@ -124,19 +123,19 @@ class Video:
         return stream
 
 
-def _n_frames(container: Any, stream: Any, n_bytes: int) -> tuple[int, int]:
-    """Pictures that the stream says it has, and those that come out right of the `n_bytes` of its file.
+def _n_frames(container: Any, stream: Any, n_bytes: int) -> int:
+    """Pictures that come out right of the `n_bytes` of the stream's file; all that it says it has with an older PyAV.
 
     Pictures are stored in the order of decoding. One that is missing may be shown before some that are there: before
     as many as the stream decodes ahead. So many times of decoding lie before its first picture.
     """
     entries = getattr(stream, "index_entries", None)  # Of PyAV 15 and newer
     if not entries:
-        return int(stream.frames), int(stream.frames)
+        return int(stream.frames)
     kept = [entry for entry in entries if not entry.is_discard]
     n_whole = next((i for i, entry in enumerate(kept) if entry.pos + entry.size > n_bytes), len(kept))
     if n_whole == len(kept):
-        return n_whole, n_whole
+        return n_whole
     shown = [packet.pts for packet in container.demux(stream) if packet.pts is not None and not packet.is_corrupt]
     n_ahead = sum(entry.timestamp < min(shown) for entry in kept) if shown else 0
-    return len(kept), max(0, n_whole - n_ahead)
+    return max(0, n_whole - n_ahead)

@@ -75,17 +75,11 @@ def colour_bytes(frame: RgbdFrame, form: Form) -> bytes:
 
 def save_depth(path: Path, frame: RgbdFrame, units_per_metre: float) -> int:
     """Write a grey image of 16 bits, 0 where there is no depth; and how many pixels are too far for it."""
-    units, n_too_far = depth_units(frame, units_per_metre)
-    pillow().fromarray(units).save(path, compress_level=1)
-    return n_too_far
-
-
-def depth_units(frame: RgbdFrame, units_per_metre: float) -> tuple[np.ndarray[Any, np.dtype[np.uint16]], int]:
-    """(H, W) uint16, 0 where there is no depth, and how many pixels are too far for it."""
     valid = valid_plane_depth(frame.plane_depth_m)
     units = np.rint(np.where(valid, frame.plane_depth_m, 0).astype(np.float64) * units_per_metre)
     is_too_far = units > LARGEST_IN_16_BITS
-    return np.where(is_too_far, 0, units).astype(np.uint16), int(np.count_nonzero(is_too_far))
+    pillow().fromarray(np.where(is_too_far, 0, units).astype(np.uint16)).save(path, compress_level=1)
+    return int(np.count_nonzero(is_too_far))
 
 
 def confidence_of(frame: RgbdFrame) -> ArrayU8:

@@ -29,8 +29,8 @@ from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 FPS = 30.0
 
 
-def write(path: Path, frames: Iterable[RgbdFrame], form: Form = USUAL, *, has_init_pose: bool = True) -> Written:
-    """One .r3d file, whole or absent; colour is JPEG. Without `has_init_pose`, as older files are, up is lost.
+def write(path: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Written:
+    """One .r3d file, whole or absent; colour is JPEG.
 
     OSError if it cannot be written, ValueError for frames of several sizes or none, ImportError without lzfse.
     """
@@ -60,9 +60,7 @@ def write(path: Path, frames: Iterable[RgbdFrame], form: Form = USUAL, *, has_in
                 file.writestr(f"rgbd/{n}.conf", lzfse.compress(confidence_of(frame).tobytes()))
             if start is None or size is None:
                 raise ValueError("Record3D: expected at least one frame")
-            content = _metadata(size, form.colour_scale, poses, k, times_s)
-            if has_init_pose:
-                content["initPose"] = _row(start)
+            content = {**_metadata(size, form.colour_scale, poses, k, times_s), "initPose": _row(start)}
             file.writestr(METADATA, json.dumps(content, allow_nan=False))
         beside.replace(path)
     finally:

@@ -23,11 +23,11 @@ from xihenet.captures.writing.pictures import (
     Form,
     Written,
     confidence_of,
-    depth_units,
     enlarged,
     enlarged_intrinsics,
     in_y_up,
     pillow,
+    save_depth,
 )
 from xihenet.records import RgbdFrame
 
@@ -39,15 +39,8 @@ QUALITY = "4"  # Constant rate factor; 12 takes half the bytes, and moves the li
 BT709, LIMITED = 1, 1  # As phones say, in the numbers of ITU-T H.273
 
 
-def write(
-    folder: Path,
-    frames: Iterable[RgbdFrame],
-    form: Form = USUAL,
-    *,
-    has_intrinsics: bool = True,
-    is_npy: bool = False,
-) -> Written:
-    """A folder; `has_intrinsics` on each line is what newer recordings have, depth that `is_npy` what older ones have.
+def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Written:
+    """A folder, with intrinsics on each line of odometry.csv, as newer recordings have.
 
     OSError if it cannot be written; ValueError for frames of several sizes or none, or with an odd number of pixels
     along a side of the video; ImportError without PyAV.
@@ -56,20 +49,15 @@ def write(
         (folder / name).mkdir(exist_ok=True, parents=True)
     n, n_too_far, k = 0, 0, None
     with _video(folder / VIDEO) as encode, (folder / ODOMETRY).open("w", encoding="utf-8") as odometry:
-        odometry.write(", ".join(COLUMNS + INTRINSICS * has_intrinsics) + "\n")
+        odometry.write(", ".join(COLUMNS + INTRINSICS) + "\n")
         for n, frame in enumerate(frames, start=1):
             number = f"{n - 1:06d}"
             encode(enlarged(frame.srgb_u8, form.colour_scale))
-            units, n_frame_too_far = depth_units(frame, UNITS_PER_METRE)
-            n_too_far += n_frame_too_far
-            if is_npy:
-                np.save(folder / "depth" / f"{number}.npy", units)
-            else:
-                pillow().fromarray(units).save(folder / "depth" / f"{number}.png", compress_level=1)
+            n_too_far += save_depth(folder / "depth" / f"{number}.png", frame, UNITS_PER_METRE)
             pillow().fromarray(confidence_of(frame)).save(folder / "confidence" / f"{number}.png")
             pose = in_y_up(frame.world_from_camera) @ OPENCV_FROM_BLENDER_CAMERA
             k = enlarged_intrinsics(frame.intrinsics, form.colour_scale)
-            values = [*pose[:3, 3], *quaternion_of(pose[:3, :3]), *(k.fx, k.fy, k.cx, k.cy)[: 4 * has_intrinsics]]
+            values = [*pose[:3, 3], *quaternion_of(pose[:3, :3]), k.fx, k.fy, k.cx, k.cy]
             line = ", ".join(f"{value:.9f}" for value in values)
             odometry.write(f"{frame.time_s:.6f}, {number}, {line}\n")
     if k is None:
