@@ -96,12 +96,17 @@ class TogetherBackend(Protocol):
 def estimate_lights(
     backend: InferenceBackend, clouds: Sequence[UnitSphereCloud], contexts: Sequence[EstimateContext], exposure: float
 ) -> list[LightEstimate]:
-    """The light of each of several clouds, as `estimate_light` gives it: all asked for together where that can be."""
+    """The light that each of the clouds shows, with its context, carrying `exposure`; where it is not known, 0 and why.
+
+    All are asked for together where that can be. ValueError as the backend raises it, but for a result that is not
+    finite and an answer that does not come.
+    """
     reasons = [backend.unknown_because(*one) for one in zip(clouds, contexts, strict=True)]
     asked = [number for number, reason in enumerate(reasons) if not reason]
-    if len(asked) < 2 or not isinstance(backend, TogetherBackend):
-        return [estimate_light(backend, cloud, one, exposure) for cloud, one in zip(clouds, contexts, strict=True)]
-    answers = backend.estimate_together([clouds[k] for k in asked], [contexts[k] for k in asked])
+    if len(asked) > 1 and isinstance(backend, TogetherBackend):
+        answers = backend.estimate_together([clouds[k] for k in asked], [contexts[k] for k in asked])
+    else:
+        answers = [answer_of(backend, clouds[k], contexts[k]) for k in asked]
     found = dict(zip(asked, answers, strict=True))
     return [
         _light(backend, cloud, exposure, reason, found.get(number))
@@ -112,18 +117,18 @@ def estimate_lights(
 def estimate_light(
     backend: InferenceBackend, cloud: UnitSphereCloud, context: EstimateContext, exposure: float
 ) -> LightEstimate:
-    """The light that `cloud` and `context` show, carrying `exposure`; where it cannot be known, 0, not valid, and why.
+    """`estimate_lights` of one."""
+    return estimate_lights(backend, [cloud], [context], exposure)[0]
 
-    ValueError as the backend raises it, but for a result that is not finite and an answer that does not come.
-    """
-    reason = backend.unknown_because(cloud, context)
-    answer: Answer | NoAnswer | NotFinite | None = None
-    if not reason:
-        try:
-            answer = backend.estimate_with_error(cloud, context)
-        except (NotFinite, NoAnswer) as error:
-            answer = error
-    return _light(backend, cloud, exposure, reason, answer)
+
+def answer_of(
+    backend: InferenceBackend, cloud: UnitSphereCloud, context: EstimateContext
+) -> Answer | NoAnswer | NotFinite:
+    """What `estimate_with_error` gives, or raises of these two."""
+    try:
+        return backend.estimate_with_error(cloud, context)
+    except (NoAnswer, NotFinite) as error:
+        return error
 
 
 def _light(

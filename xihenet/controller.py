@@ -319,9 +319,6 @@ class XiheController:
         changed = (temporary.srgb != before.temporary.srgb) | (persistent.srgb != before.persistent.srgb)
         return replace(after, persistent=persistent), int(np.count_nonzero(changed.any(axis=1)))
 
-    def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> LightEstimate:
-        return estimate_light(self.backend, cloud, context, self.reference_exposure or 1.0)
-
     def _with_key(self, estimate: LightEstimate, position: _Position) -> LightEstimate:
         if not estimate.is_valid:
             return estimate
@@ -364,7 +361,7 @@ class XiheController:
         sampled = self._sample(points, position_m)
         position = np.asarray(position_m, np.float64)
         context = EstimateContext(self._frame, points, position, None, self.reference_exposure)
-        return self._estimate(sampled, context)
+        return estimate_light(self.backend, sampled, context, self.reference_exposure)
 
     def start_recording(self, path: str | Path) -> None:
         """Keep every frame that `step` gets in the folder `path`; FileExistsError if that holds a recording."""

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from xihenet.backend import Answer, NoAnswer
+from xihenet.backend import Answer, NoAnswer, answer_of
 from xihenet.codec import EncodingMethod, encode_cloud
 from xihenet.edge import protocol
 from xihenet.edge.axes import OUR_AXES, sh_from
@@ -118,13 +118,13 @@ class EdgeBackend:
         """
         n_beside = min(len(clouds), MOST_TOGETHER) - 1
         if self.connection.is_resting() or n_beside < 1:
-            return [_answer(self, *one) for one in zip(clouds, contexts, strict=True)]
+            return [answer_of(self, *one) for one in zip(clouds, contexts, strict=True)]
         missing = n_beside - len(self._beside)
         with ThreadPoolExecutor(n_beside + 1) as pool:
             self._beside += [one for one in pool.map(lambda _: self._another(), range(missing)) if one is not None]
             lines = [self, *self._beside[:n_beside]]
             each = [lines[number % len(lines)] for number in range(len(clouds))]
-            return list(pool.map(_answer, each, clouds, contexts))
+            return list(pool.map(answer_of, each, clouds, contexts))
 
     def _another(self) -> EdgeBackend | None:
         """A backend like this one; None while the server does not answer, or has no room for more sessions."""
@@ -243,13 +243,6 @@ def backend_at(url: str, estimator: str, n_anchors: int, target: Target) -> Edge
         backend.close()
         raise ValueError(f"the server at {url} estimates with {backend.name}: give --estimator {backend.name}")
     return backend
-
-
-def _answer(backend: EdgeBackend, cloud: UnitSphereCloud, context: EstimateContext) -> Answer | NoAnswer | NotFinite:
-    try:
-        return backend.estimate_with_error(cloud, context)
-    except (NoAnswer, NotFinite) as error:
-        return error
 
 
 def _light_of(answer: dict[str, Any]) -> tuple[ArrayF64, float | None]:
