@@ -11,9 +11,8 @@ from typing import Any
 
 from xihenet.captures.capture import Capture, inside, n_frames
 from xihenet.captures.phone_frame import picture_frame
-from xihenet.captures.values import number_in, side_in
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
-from xihenet.io.json_files import read_json
+from xihenet.io.json_files import number_in, read_json, side_in
 from xihenet.records import Intrinsics
 
 FILE = "transforms.json"

@@ -14,9 +14,9 @@ import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
 from xihenet.captures.phone_frame import picture_frame
-from xihenet.captures.values import FARTHEST_M, number_in, side_in
+from xihenet.captures.values import FARTHEST_M
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
-from xihenet.io.json_files import read_json
+from xihenet.io.json_files import number_in, read_json, side_in
 from xihenet.records import Intrinsics
 
 METRES_PER_UNIT, SECONDS_PER_UNIT = 1e-3, 1e-6

@@ -22,9 +22,9 @@ from xihenet.captures.capture import Capture, CapturedFrame, n_frames
 from xihenet.captures.floor import upright
 from xihenet.captures.lzfse_files import unpack_lzfse
 from xihenet.captures.phone_frame import confidence_levels, measured, phone_frame
-from xihenet.captures.values import intrinsics_of, number_in, numbers, pose_numbers, pose_of, side_in, times_go_back
+from xihenet.captures.values import intrinsics_of, numbers, pose_numbers, pose_of, times_go_back
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
-from xihenet.io.json_files import parse_json
+from xihenet.io.json_files import number_in, parse_json, side_in
 from xihenet.io.picture_size import MOST_PIXELS, same_field
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 

@@ -1,36 +1,19 @@
-"""Numbers and places out of files that anyone may have written: what is not one is said in one line.
+"""Rows of numbers and places out of files that anyone may have written: what is not one is said in one line.
 
 Poses come as quaternions in most formats. Their order is x, y, z, w here, as it is in all of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from xihenet.records import ArrayF64, Intrinsics
 
-LONGEST_SIDE = 1_000_000  # Pixels. No file has more, and products of two stay numbers that a float can hold.
 FARTHEST_M = 1e6  # From the origin of a recording; what is given in millimetres is still nearer
 SHORTEST, LONGEST = 1e-6, 1e6  # Of a quaternion that still says a direction
-
-
-def number_in(values: Mapping[str, Any], name: str, default: float | None = None) -> float:
-    """The finite number of that name. ValueError for anything else, and for none without a `default`."""
-    value = values.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise ValueError(f"{name}: expected a number, got {value!r:.80}")
-    return float(value)
-
-
-def side_in(values: Mapping[str, Any], name: str) -> int:
-    """A whole number of pixels, at least 1. ValueError else."""
-    value = number_in(values, name)
-    if not (value.is_integer() and 1 <= value <= LONGEST_SIDE):
-        raise ValueError(f"{name}: expected a whole number of pixels, got {value:g}")
-    return int(value)
 
 
 def numbers(values: Any, n: int, name: str) -> ArrayF64:

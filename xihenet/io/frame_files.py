@@ -24,7 +24,7 @@ import numpy as np
 from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth, valid_plane_depth
 from xihenet.io import exr, openexr_package
 from xihenet.io.image_files import read_colour, read_plane_depth
-from xihenet.io.json_files import read_json
+from xihenet.io.json_files import number_in, read_json, side_in
 from xihenet.io.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.metering import metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
@@ -32,7 +32,6 @@ from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
 MOST_VALUES_BY_PACKAGE = 64_000_000  # Of all channels, which the package unpacks together: 16 megapixels of four
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "world_from_camera", "convention", "up")
-LARGEST_SIDE = 1_000_000  # Pixels. No file has more, and products of two stay numbers that a float can hold.
 POSE_TOLERANCE = 1e-3  # Of a rotation's rows and columns, as poses are written with four digits
 BLENDER_FROM_OPENCV_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 BLENDER_FROM_UP: Mapping[str, ArrayF64] = {
@@ -113,7 +112,9 @@ def read_camera(path: Path) -> FrameCamera:
         raise ValueError(f"{path}: expected a JSON object with width, height, fx, fy, cx, cy and world_from_camera")
     try:
         intrinsics, is_opencv, up = camera_facts(content, CAMERA_KEYS)
-        return frame_camera(intrinsics, _entry(content, "world_from_camera"), is_opencv=is_opencv, up=up)
+        if "world_from_camera" not in content:
+            raise ValueError("world_from_camera is missing")
+        return frame_camera(intrinsics, content["world_from_camera"], is_opencv=is_opencv, up=up)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -124,8 +125,8 @@ def camera_facts(content: dict[str, Any], keys: Collection[str]) -> tuple[Intrin
     ValueError for what is wrong with them, and for a key that is not one of `keys`.
     """
     _check_keys(content, keys)
-    width, height = (_whole_number(content, name) for name in ("width", "height"))
-    intrinsics = Intrinsics(width, height, *(_number(content, name) for name in ("fx", "fy", "cx", "cy")))
+    k = (number_in(content, name) for name in ("fx", "fy", "cx", "cy"))
+    intrinsics = Intrinsics(side_in(content, "width"), side_in(content, "height"), *k)
     is_opencv = _choice(content, "convention", ("blender", "opencv")) == "opencv"
     return intrinsics, is_opencv, _choice(content, "up", tuple(BLENDER_FROM_UP))
 
@@ -160,26 +161,6 @@ def _check_keys(content: dict[str, Any], keys: Collection[str]) -> None:
         near = difflib.get_close_matches(name.lower(), keys, n=1)
         fix = f"did you mean {near[0]!r}?" if near else f"leave it out; there are {', '.join(keys)}"
         raise ValueError(f"{name[:80]!r}: there is no such key; {fix}")
-
-
-def _entry(content: dict[str, Any], name: str) -> Any:
-    if name not in content:
-        raise ValueError(f"{name} is missing")
-    return content[name]
-
-
-def _number(content: dict[str, Any], name: str) -> float:
-    value = _entry(content, name)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name}: expected a number, got {value!r:.80}")
-    return float(value)
-
-
-def _whole_number(content: dict[str, Any], name: str) -> int:
-    value = _number(content, name)
-    if not value.is_integer() or value > LARGEST_SIDE:
-        raise ValueError(f"{name}: expected a whole number of pixels, at most {LARGEST_SIDE}, got {value:g}")
-    return int(value)
 
 
 def _choice(content: dict[str, Any], name: str, allowed: tuple[str, ...]) -> str:
