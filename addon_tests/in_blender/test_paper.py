@@ -167,17 +167,17 @@ def walk():
 def test_bytes_are_counted_on_the_clouds_of_a_walk(walk, tmp_path):
     study = paper.chosen_studies(["encodings"])[0]
     rows = {row.what: row for row in study.measure([walk], StudyOptions(True, 0, tmp_path))}
-    assert rows["float32, mean"].value == rows["float32, mean"].paper == 20480
-    n_set = rows["uint8_float16_stripped, mean"].value / 7
-    assert 0 < n_set < 1280 and rows["float32_stripped, mean"].value == pytest.approx(18 * n_set)
+    assert rows["float32: mean"].value == rows["float32: mean"].paper == 20480
+    n_set = rows["uint8_float16_stripped: mean"].value / 7
+    assert 0 < n_set < 1280 and rows["float32_stripped: mean"].value == pytest.approx(18 * n_set)
 
 
 @pytest.mark.slow
 def test_even_anchors_share_the_sphere_and_those_of_a_grid_do_not(walk, tmp_path):
     study = paper.chosen_studies(["anchors_uniform"])[0]
     rows = {row.what: row.value for row in study.measure([walk], StudyOptions(True, 0, tmp_path))}
-    assert rows["even, spread of area over mean"] < 0.05 < rows["grid, spread of area over mean"]
-    assert rows["even, all seen, equal weights"] < 0.002 < rows["grid, all seen, equal weights"]
+    assert rows["even: spread of area over mean"] < 0.05 < rows["grid: spread of area over mean"]
+    assert rows["even: all seen, equal weights"] < 0.002 < rows["grid: all seen, equal weights"]
 
 
 def test_anchors_of_a_grid_are_found_as_the_largest_cosine_says():

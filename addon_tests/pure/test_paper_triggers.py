@@ -61,7 +61,7 @@ def test_every_strategy_is_judged_on_the_same_pairs(tmp_path, monkeypatch):
     monkeypatch.setattr(trigger_labelled, "N_PAIRS", 40)
     sessions = [walk_of("dim", 1, 0.05), walk_of("bright", 2, 0.4)]
     rows = list(trigger_labelled.measure(sessions, options(tmp_path)))
-    best = [row for row in rows if row.what.startswith("split 50%") and "best theta" in row.what]
+    best = [row for row in rows if row.what.endswith("best theta: split 50%")]
     assert len(best) == 5 and {row.n for row in best} == {40}
     over_theta = [row for row in rows if row.series == "window 4"]
     assert [row.at for row in over_theta] == list(trigger_labelled.THETAS)

@@ -39,7 +39,7 @@ class Row:
 
     Parameters
     ----------
-    what : was measured, in words
+    what : was measured, in words of its own; "line: column" where it stands in a table of the documentation
     unit : of all four numbers; "share" and "ratio" are units
     value, low, high : and the 95 % interval, which holds it; what is counted and not drawn has no width
     n : number of cases

@@ -54,12 +54,12 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         for size, paper in zip(TABLES, of_paper, strict=True):
             wrong = is_wrong(lattice, points, lattice.nearest(points, "table", size), best)
             found = measured(_per_cent_of_blocks(wrong), options.rng)._replace(n=N_POINTS)
-            what = f"{n} anchors, table {size[0]}x{size[1]}: points at another anchor than the nearest"
+            what = f"table {size[0]}x{size[1]}, points at another anchor than the nearest: {n} anchors"
             yield Row(what, "%", *found, "same work", SAME, paper, "points", f"{n} anchors", size[0])
         few = points[:100_000]
         wrong = is_wrong(lattice, few, best[:100_000], lattice.nearest(few, "brute"))
         found = measured(_per_cent_of_blocks(wrong), options.rng)._replace(n=len(few))
-        yield Row(f"{n} anchors, ours", "%", *found, "same work", OURS, None, "points")
+        yield Row(f"ours: {n} anchors", "%", *found, "same work", OURS, None, "points")
     yield from effect_on_light(sessions, options)
 
 

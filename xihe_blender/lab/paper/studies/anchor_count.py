@@ -36,13 +36,13 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     for n in sizes:
         shares = measured([cloud.is_set.mean() for cloud in clouds[n]], rng, groups=rooms)
         paper = NON_EMPTY if n == 1280 else None
-        yield Row(f"{n} anchors, set by one view", "of all", *shares, "other data", SHARE, paper, cases)
+        yield Row(f"{n} anchors: set by one view", "of all", *shares, "other data", SHARE, paper, cases)
     for name in ("xihenet", "projection", "lattice"):
         errors = {n: np.array(_errors(name, n, clouds[n], found)) for n in sizes if _takes(name, n)}
         for n, each in errors.items():
             paper = PAPER_RMSE[n] if name == "xihenet" else None
             of_all = measured(each, rng, groups=rooms)
-            yield Row(f"{name}, {n} anchors", "SHC RMSE", *of_all, "other data", ERROR, paper, cases, name, n)
+            yield Row(f"{n} anchors: {name}", "SHC RMSE", *of_all, "other data", ERROR, paper, cases, name, n)
         if {512, 2048} <= errors.keys():
             of_all = measured(
                 np.stack([errors[2048], errors[512]], axis=1), rng, groups=rooms, statistic=ratio_of_means

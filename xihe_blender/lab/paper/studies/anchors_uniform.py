@@ -89,18 +89,18 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     for name, lattice in ANCHORS.items():
         spread = measured(own[name], rng, statistic=relative_spread)
         yield Row(
-            f"{name}, spread of area over mean", "of the mean", *spread, "cannot be compared", AREA, cases="anchors"
+            f"{name}: spread of area over mean", "of the mean", *spread, "cannot be compared", AREA, cases="anchors"
         )
         clouds = [view.cloud(lattice) for view in found]
         off = [100 * abs(cloud.is_set.mean() - own[name][cloud.is_set].sum()) for cloud in clouds]
         wrong = measured(off, rng, groups=seen_in)
-        what = f"{name}, share of set anchors off the share of the sphere"
+        what = f"{name}: share of set anchors off the share of the sphere"
         yield Row(
             what, "percentage points", *wrong, "cannot be compared", COMPLETENESS, cases=of_rooms("views", seen_in)
         )
         errors = measured([shc_rmse(equally_weighted(one, lattice), one) for one in lights], rng, groups=rooms)
         yield Row(
-            f"{name}, all seen, equal weights",
+            f"{name}: all seen, equal weights",
             "SHC RMSE",
             *errors,
             "cannot be compared",

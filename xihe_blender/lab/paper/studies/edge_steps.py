@@ -27,7 +27,7 @@ def measure(_sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row
                     of_network = f" of {name} ({words})" if step == "inference" else ""
                     drawn = (f"{step}, {name}", float(n)) if step == "inference" else ("", None)
                     found = measured(times[n][step], rng, statistic=np.median)
-                    what = f"{step}{of_network}, {n} anchors, median"
+                    what = f"{step}{of_network}: {n} anchors, median"
                     yield Row(what, "ms", *found, "other machine", TIME, paper, "calls", *drawn)
         pairs = np.stack([times[2048]["inference"], times[512]["inference"]], axis=1)
         found = measured(pairs, rng, statistic=ratio_of_medians)

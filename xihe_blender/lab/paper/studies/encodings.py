@@ -50,14 +50,14 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     rooms, ms = [view.room for view in found], {}
     for method, (unit, paper_bytes, paper_ms) in PAPER.items():
         record = METHODS[method].bytes_per_record
-        yield Row(f"{method}, of an anchor", "bytes", *counted(record), "same work", RECORD, unit, "record")
+        yield Row(f"{method}: of an anchor", "bytes", *counted(record), "same work", RECORD, unit, "record")
         sizes = [len(encode_cloud(cloud, method)) for cloud in clouds]
         of_all = measured(sizes, rng, groups=rooms)
         sentence = ODD if method == "uint8_float16" else BYTES
         work: Work = "same work" if method == "float32" else "other data"
-        yield Row(f"{method}, mean", "bytes", *of_all, work, sentence, paper_bytes, of_rooms("clouds", rooms))
+        yield Row(f"{method}: mean", "bytes", *of_all, work, sentence, paper_bytes, of_rooms("clouds", rooms))
         ms[method] = [float(np.median(times_ms(partial(encode_cloud, cloud, method), 20))) for cloud in clouds]
-        yield Row(f"{method}, mean time", "ms", *measured(ms[method], rng), "other machine", TIME, paper_ms, "clouds")
+        yield Row(f"{method}: mean time", "ms", *measured(ms[method], rng), "other machine", TIME, paper_ms, "clouds")
     pairs = np.stack([ms["uint8_float16"], ms["uint8_float16_stripped"]], axis=1)
     ratio = measured(pairs, rng, statistic=ratio_of_means)
     yield Row("uint8_float16 over its stripped form, time", "times", *ratio, "other machine", FASTER, 1.67, "clouds")

@@ -27,14 +27,14 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         times = step_times_ms(port, server_ms, 1, n)
     computing = times["step"] - times["network"]
     found = measured(computing, rng, statistic=np.median)
-    yield Row("on phone and server, median", "ms", *found, "other machine", COMPUTING, 20.67 - 8.4, "frames")
+    yield Row("on phone and server: median", "ms", *found, "other machine", COMPUTING, 20.67 - 8.4, "frames")
     found = measured(times["step"], rng, statistic=np.median)
-    yield Row("whole step over loopback, median", "ms", *found, "other machine", LOOPBACK, None, "frames")
+    yield Row("whole step over loopback: median", "ms", *found, "other machine", LOOPBACK, None, "frames")
     sizes = np.array(cloud_bytes(sessions))
     for name in ("wifi", "home", "lte"):
         ways = link_ms(name, rng.choice(sizes, n), rng)
         found = measured(computing[: len(ways)] + ways, rng, statistic=np.median)
-        yield Row(f"end to end over {name}, median", "ms", *found, "other machine", WHOLE, PAPER_MS.get(name), "frames")
+        yield Row(f"end to end over {name}: median", "ms", *found, "other machine", WHOLE, PAPER_MS.get(name), "frames")
 
 
 STUDY = Study(

@@ -92,7 +92,7 @@ def _throughput(options: StudyOptions) -> Iterator[Row]:
             ms = measured(times_ms(partial(inference, jobs), repeats), rng, statistic=np.median)
             rate = (1e3 * batch / ms.value, 1e3 * batch / ms.high, 1e3 * batch / ms.low, ms.n)
             paper = PER_SECOND if batch == 1 else None
-            what = f"{name}, inferences with {batch} in a batch"
+            what = f"inferences of {name}: {batch} in a batch"
             yield Row(what, "a second", *rate, "other machine", SPEED, paper, "calls")
 
 

@@ -210,7 +210,7 @@ def _as_the_paper(of_views: Sequence[dict[str, float]], found: Sequence[Scan], o
     bits, rooms = [one["whole"] for one in of_views], [scan.room for scan in found]
     for words, share, paper in SPREADS:
         spread = measured(bits, options.rng, groups=rooms, statistic=partial(_quantile, share))
-        yield Row(f"entropy of the whole cloud, {words}", "bits", *spread, "other data", SPREAD, paper, "views")
+        yield Row(f"entropy of the whole cloud: {words}", "bits", *spread, "other data", SPREAD, paper, "views")
 
 
 def _quantile(share: float, bits: ArrayF64) -> float:
@@ -237,9 +237,9 @@ def against_accuracy(sessions: Sequence[Session], options: StudyOptions) -> Iter
         within = {place: value for place, value in by_place.items() if np.isfinite(value)}
         if len(within) > 1:
             mean = measured(list(within.values()), options.rng, groups=[room for room, _ in within])
-            yield Row(f"{what}, at one place", "rank correlation", *mean, "other data", ACCURACY, None, "places")
+            yield Row(f"{what}: at one place", "rank correlation", *mean, "other data", ACCURACY, None, "places")
         pooled = measured(pairs, options.rng, groups=[room for room, _ in places], statistic=_correlation)
-        yield Row(f"{what}, all rooms", "rank correlation", *pooled, "other data", ACCURACY, None, "views")
+        yield Row(f"{what}: all rooms", "rank correlation", *pooled, "other data", ACCURACY, None, "views")
 
 
 def _correlation(pairs: ArrayF64) -> float:

@@ -46,7 +46,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     for light, each in errors.items():
         for cell, (metallic, smoothness) in enumerate(GRID):
             of_all = measured([place[cell] for place in each], options.rng, groups=rooms)
-            what = f"metallic {metallic:g}, smoothness {smoothness:g}, under the {light}"
+            what = f"metallic {metallic:g}, smoothness {smoothness:g}: under the {light}"
             series = (f"{light}, metallic {metallic:g}", smoothness)
             yield Row(
                 what, "sRGB RMSE", *of_all, "cannot be compared", SENTENCE, None, of_rooms("places", rooms), *series

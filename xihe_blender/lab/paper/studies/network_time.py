@@ -51,7 +51,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     for name in LINKS:
         times = {k: link_ms(name, rng.choice(sizes, (n, k)).sum(axis=1), rng) for k in POSITIONS}
         for k, ms in times.items():
-            what = f"{name}, {k} position{'s' * (k > 1)}, median"
+            what = f"{name}: {k} position{'s' * (k > 1)}, median"
             found = measured(ms, rng, statistic=np.median)
             paper = PAPER_MS.get((name, k))
             yield Row(what, "ms", *found, "cannot be compared", LINK, paper, "requests", name, k)
@@ -67,7 +67,7 @@ def _over_loopback(options: StudyOptions) -> Iterator[Row]:
         for k in POSITIONS:
             times[k] = step_times_ms(port, server_ms, k, 40 if options.quick else 400)["estimate"]
     for k, ms in times.items():
-        what = f"loopback and server, {k} position{'s' * (k > 1)}, median"
+        what = f"loopback and server: {k} position{'s' * (k > 1)}, median"
         found = measured(ms, rng, statistic=np.median)
         yield Row(what, "ms", *found, "other machine", LOOPBACK, None, "frames", "loopback and server", k)
     yield _ratio("loopback and server", times[4], times[1], rng, "frames", 1.28)
@@ -77,7 +77,7 @@ def _ratio(name: str, four: ArrayF64, one: ArrayF64, rng: np.random.Generator, c
     n = min(len(four), len(one))
     found = measured(np.stack([four[:n], one[:n]], axis=1), rng, statistic=ratio_of_medians)
     sentence = LINK if cases == "requests" else f"{LOOPBACK} {RATIO}"
-    return Row(f"{name}, four positions over one", "times", *found, "cannot be compared", sentence, paper, cases)
+    return Row(f"{name}: four positions over one", "times", *found, "cannot be compared", sentence, paper, cases)
 
 
 STUDY = Study(

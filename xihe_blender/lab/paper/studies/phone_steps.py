@@ -38,12 +38,12 @@ def measure(_sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row
     paper = PAPER_MS | {WHOLE: sum(PAPER_MS.values())}
     for stage, ms in times.items():
         found = measured(ms, options.rng, statistic=np.median)
-        yield Row(f"{stage}, median", "ms", *found, "other machine", TIME, paper[stage], "frames")
+        yield Row(f"{stage}: median", "ms", *found, "other machine", TIME, paper[stage], "frames")
     for stage in PAPER_MS:
         pairs = np.stack([times[stage], times[WHOLE]], axis=1)
         found = measured(pairs, options.rng, statistic=ratio_of_medians)
         of_paper = paper[stage] / paper[WHOLE]
-        yield Row(f"{stage}, of all five", "of the time", *found, "other machine", SHARE, of_paper, "frames")
+        yield Row(f"{stage}: of all five", "of the time", *found, "other machine", SHARE, of_paper, "frames")
 
 
 STUDY = Study(

@@ -63,10 +63,10 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     cases = of_rooms("views", rooms)
     for method in METHODS:
         of_all = measured(errors[method], options.rng, groups=rooms)
-        yield Row(f"{method}, light", "SHC RMSE", *of_all, "cannot be compared", LIGHT, cases=cases)
+        yield Row(f"{method}: light", "SHC RMSE", *of_all, "cannot be compared", LIGHT, cases=cases)
     for method in (TRUE, *METHODS):
         of_all = measured(pictures[method], options.rng, groups=rooms)
-        yield Row(f"{method}, picture", "sRGB RMSE", *of_all, "cannot be compared", PICTURE, cases=cases)
+        yield Row(f"{method}: picture", "sRGB RMSE", *of_all, "cannot be compared", PICTURE, cases=cases)
     for other in (SPHERE, AMBIENT):
         pairs = np.stack([errors[WALK], errors[other]], axis=1)
         over = measured(pairs, options.rng, groups=rooms, statistic=ratio_of_means)

@@ -171,7 +171,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             how = f"its one theta {theta:g}" if name == OURS else "its best theta"
             paper = PAPER.get(name, (None, None))[1] if split == MIDDLE else None
             yield Row(
-                f"split {split:.0%}, {name} at {how}",
+                f"{name} at {how}: split {split:.0%}",
                 "right",
                 *measured(hits[name], rng, groups=groups),
                 "other data",
@@ -181,7 +181,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             )
         for beside in (f"window {n}" for n in (4, *(n for n in WINDOWS if n != 4))):
             lead = measured(hits[OURS] - hits[beside], rng, groups=groups)
-            what = f"split {split:.0%}, {OURS} at its one theta minus {beside} at its best"
+            what = f"{OURS} at its one theta minus {beside} at its best: split {split:.0%}"
             yield Row(what, "of decisions", *lead, "other data", FIXED, cases="pairs")
     chosen, is_change = labelled(alike, MIDDLE)
     groups = [rooms[k] for k in chosen]
@@ -190,7 +190,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             hit = measured(right(change[chosen], is_change, ours if name == OURS else theta), rng, groups=groups)
             series = f"{name}, theta {ours:g}" if name == OURS else name
             paper = PAPER.get(name, (None, None))[0] if theta == 0.6 else None
-            what = f"split {MIDDLE:.0%}, {name}, {f'beside theta {theta}' if name == OURS else f'theta {theta}'}"
+            what = f"split {MIDDLE:.0%}, theta {theta}: {series}"
             yield Row(what, "right", *hit, "other data", PAIRS, paper, "pairs", series, theta)
 
 

@@ -213,7 +213,7 @@ def _ratio(name: str, curves: dict[str, NDArray[np.float64]], sentence: str, rng
         fires, error = mean[n_papers + ours]
         return float(fires / max(fires_at(error, mean[:n_papers]), 1 / len(places)))
 
-    what = f"{name}, estimates of ours at theta {SHOWN[OURS][0]:g} over the paper's at equal error"
+    what = f"{name}: estimates of ours at theta {SHOWN[OURS][0]:g} over the paper's at equal error"
     return Row(what, "times", *measured(both, rng, statistic=ratio), "cannot be compared", sentence, cases="places")
 
 
