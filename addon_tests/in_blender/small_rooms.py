@@ -10,7 +10,7 @@ SMALL = RoomRenderSettings((32, 24), 1, 16, 4, 16)
 
 
 def small_build(n_rooms, seed=5, **settings):
-    return BuildSettings(n_rooms, seed, 1, SMALL.numbers, **settings)
+    return BuildSettings(n_rooms, seed, 1, SMALL, **settings)
 
 
 def places_of(index, **how):

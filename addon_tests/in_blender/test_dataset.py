@@ -19,7 +19,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms import render_room
-from xihe_blender.lab.rooms.build import LEFT_BEHIND_S, BuildSettings, build_dataset, missing_rooms, write_manifest
+from xihe_blender.lab.rooms.build import LEFT_BEHIND_S, build_dataset, missing_rooms, write_manifest
 from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.contact_sheet import contact_sheet
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
@@ -33,6 +33,7 @@ from xihe_blender.lab.workers import one_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet.camera import project_points, unproject_frame
 from xihenet.sphere import AnchorLattice
+from xihenet.training.rooms import frames_of
 
 
 @pytest.fixture(scope="module")
@@ -106,15 +107,17 @@ def test_a_room_holds_its_views_and_its_light(room):
 
 
 def test_pairs_that_count_project_into_the_picture(room):
-    for view in range(N_VIEWS):
-        pixels, plane_depth_m = project_points(room.positions_m, room.pinhole, room.world_from_camera[view])
+    for frame, is_in_view in zip(frames_of(vars(room)), room.is_in_view, strict=True):
+        pixels, plane_depth_m = project_points(room.positions_m, frame.intrinsics, frame.world_from_camera)
         inside = (pixels > 0).all(axis=1) & (pixels < [32, 24]).all(axis=1) & (plane_depth_m > 0)
-        np.testing.assert_array_equal(room.is_in_view[view], inside)
+        np.testing.assert_array_equal(is_in_view, inside)
 
 
 def test_a_position_in_plain_sight_is_in_front_of_the_seen_surface(room):
+    frames = frames_of(vars(room))
     for view, place in zip(*np.nonzero(room.is_in_view & room.is_unhidden), strict=True):
-        pixel, plane_depth_m = project_points(room.positions_m[[place]], room.pinhole, room.world_from_camera[view])
+        camera = frames[view].intrinsics, frames[view].world_from_camera
+        pixel, plane_depth_m = project_points(room.positions_m[[place]], *camera)
         x, y = pixel[0].astype(int)
         around = room.plane_depth_m[view, max(0, y - 1) : y + 2, max(0, x - 1) : x + 2].astype(float)
         seen = np.where(around == 0, np.inf, around)
@@ -122,7 +125,7 @@ def test_a_position_in_plain_sight_is_in_front_of_the_seen_surface(room):
 
 
 def test_the_views_see_the_room_they_stand_in(room):
-    points = np.concatenate([unproject_frame(room.frame(i)).points_m for i in range(N_VIEWS)])
+    points = np.concatenate([unproject_frame(frame).points_m for frame in frames_of(vars(room))])
     points = points[np.isfinite(points).all(axis=1)]
     plan = sample_room(room_generator(5, 0))
     bounds = plan.outline.bounds.grown(0.5)
@@ -307,13 +310,13 @@ def test_a_process_that_does_not_end_when_told_to_is_killed(monkeypatch):
 def test_only_training_rooms_are_lit_by_fewer_rays():
     settings = RoomRenderSettings()
     assert settings.probe("train").size == 80 and {settings.probe(s).size for s in ("validation", "test")} == {160}
-    assert RoomRenderSettings.of(settings.numbers) == settings and settings.numbers == BuildSettings(1).render
+    assert settings.numbers == [128, 96, 4, 160, 2, 80]
 
 
 @pytest.mark.slow
 def test_what_a_failing_worker_said_is_passed_on(tmp_path):
-    with pytest.raises(UserError, match=r"BuildSettings\.render: .* does not belong there"):
-        run_blocking(build_dataset(tmp_path, replace(small_build(1), render=SMALL.numbers[:4])))
+    with pytest.raises(UserError, match=r"BuildSettings\.render\.view_size: .* does not belong there"):
+        run_blocking(build_dataset(tmp_path, replace(small_build(1), render=replace(SMALL, view_size=(32,)))))
 
 
 def test_a_contact_sheet_shows_every_room(room):

@@ -30,7 +30,7 @@ from xihenet.records import Intrinsics
 from xihenet.sphere import AnchorLattice
 from xihenet.training.rooms import SPLITS, split_of
 
-FREE_VIEWS = {"format": 2, "seed": 5, "render": list(SMALL.numbers), "metering": "highlights", "software": "xihe 0.1.0"}
+FREE_VIEWS = {"format": 2, "seed": 5, "render": SMALL.numbers, "metering": "highlights", "software": "xihe 0.1.0"}
 """What the first version wrote into its folders."""
 
 N_FRAMES = 24

@@ -15,7 +15,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from subprocess import DEVNULL, Popen
 from typing import IO, Any
@@ -24,6 +24,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.lab.rooms.render_room import RoomRenderSettings
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, room_path, stored_indices
 from xihe_blender.lab.workers.dask_workers import Work, open_dask_workers
 from xihe_blender.lab.workers.one_core import last_line, process_on_one_core
@@ -48,7 +49,7 @@ class BuildSettings:
     n_rooms: int  # room numbers are below this; more may be added later with the same seed
     seed: int = 0  # of the whole data set, at least 0
     n_workers: int | None = None  # processes, one thread each; None for one per core of this process
-    render: tuple[int, int, int, int, int, int] = (128, 96, 4, 160, 2, 80)  # as `RoomRenderSettings.numbers` has them
+    render: RoomRenderSettings = field(default_factory=RoomRenderSettings)
     walk: int | None = None  # frames of a walk in place of the free views; None for free views
     views: int | None = None  # free views of each room; None for the usual number
     varied: float = 0.0  # share of the training rooms that are far more varied than homes and offices, 0 to 1
@@ -83,7 +84,7 @@ class BuildSettings:
     @property
     def provenance(self) -> dict[str, Any]:
         """What all rooms of a folder share. What the first data sets did not know is named where it is used."""
-        shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": list(self.render), "metering": METERING}
+        shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": self.render.numbers, "metering": METERING}
         optional = {"walk": self.walk, "views": self.views, "varied": self.varied, "by_day": self.by_day}
         return shared | {name: value for name, value in optional.items() if value}
 

@@ -61,15 +61,9 @@ class RoomRenderSettings:
         return ProbeSettings(size, self.probe_samples, self.noise_target)
 
     @property
-    def numbers(self) -> tuple[int, ...]:
-        """All of them, as a worker is told."""
-        return *self.view_size, self.view_samples, self.probe_size, self.probe_samples, self.train_probe_size
-
-    @classmethod
-    def of(cls, numbers: Sequence[int]) -> RoomRenderSettings:
-        """What `numbers` told. ValueError for another count."""
-        width, height, *others = numbers
-        return cls((width, height), *others)
+    def numbers(self) -> list[int]:
+        """As the manifest of a folder has them."""
+        return [*self.view_size, self.view_samples, self.probe_size, self.probe_samples, self.train_probe_size]
 
 
 def make_room(

@@ -62,7 +62,7 @@ def add_scene(
     chosen = planned_frames(scene, frames)
     size = sized_for(scene, settings.view).size
     positions_m = scene_positions(scene, chosen, at)
-    shared = {"render": list(settings.numbers), "noise_target": settings.noise_target, "metering": store.METERING}
+    shared = {"render": settings.numbers, "noise_target": settings.noise_target, "metering": store.METERING}
     write_manifest(folder, {"format": store.FORMAT_VERSION, "scenes": True, **shared})
     total = len(chosen) + len(positions_m) + 1
     with scene_kept():

@@ -21,6 +21,7 @@ from xihenet.completeness import coverage
 from xihenet.records import ArrayF32, ArrayF64
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
+from xihenet.training.rooms import frames_of
 
 BANDS = {"L00": [0], "l=1 up": [2], "l=1 sides": [1, 3], "l=2": [4, 5, 6, 7, 8]}
 REAL_MEAN_L00 = (0.93, 0.86, 0.76)  # RGB; from the paper's artefact, 2,037 test items
@@ -50,9 +51,9 @@ def light_statistics(rooms: Iterable[StoredRoom], n_anchors: int = 1280) -> Ligh
     lattice, lights, shares, n_rooms = AnchorLattice(n_anchors), [], [], 0
     for room in rooms:
         n_rooms += 1
-        for view in range(len(room.srgb_u8)):
-            points = unproject_frame(room.frame(view))
-            for place in np.flatnonzero(room.is_in_view[view]):
+        for frame, is_in_view in zip(frames_of(vars(room)), room.is_in_view, strict=True):
+            points = unproject_frame(frame)
+            for place in np.flatnonzero(is_in_view):
                 lights.append(room.sh_ldr[place])
                 shares.append(coverage(sample_unit_sphere(points, room.positions_m[place], lattice)))
     if not lights:

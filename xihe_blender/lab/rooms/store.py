@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihe_blender.io.outputs import written_whole
-from xihenet.camera import sensed_ambient
 from xihenet.io.npz_files import read_npz
 from xihenet.metering import Metering
 from xihenet.mirror_ball import panorama_of_ball
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8
 from xihenet.training.rooms import ROOM_FORMAT
 
 ArrayF16 = NDArray[np.float16]
@@ -31,7 +30,10 @@ MAX_FLOAT16 = 65504.0
 
 @dataclass(frozen=True, eq=False)
 class StoredRoom:
-    """What one room gives: V views and P placement positions. The views of a walk are its frames, in order."""
+    """What one room gives: V views and P placement positions. The views of a walk are its frames, in order.
+
+    `xihenet.training.rooms.frames_of` of its `vars` are the views as the phone delivered them.
+    """
 
     srgb_u8: ArrayU8  # (V, H, W, 3) uint8, what the phone delivers at `exposure`
     radiance: ArrayF16  # (V, H, W, 3) float16, the same pictures as linear scene radiance, neither exposed nor clipped
@@ -51,21 +53,9 @@ class StoredRoom:
     regime: str  # of its light, in words; of a scene SCENE_REGIME
     versions: str  # of the format, this software and Blender
 
-    @property
-    def pinhole(self) -> Intrinsics:
-        width, height, *rest = self.intrinsics.tolist()
-        return Intrinsics(int(width), int(height), *rest)
-
     def panorama(self, place: int, height: int = 32) -> ArrayF32:
         """(height, 2 height, 3) scene radiance around a position that camera rays see, for pictures."""
         return panorama_of_ball(self.balls[place], height)
-
-    def frame(self, view: int) -> RgbdFrame:
-        """One view as the chain takes it; the sensed ambient light is the picture's mean, as in a capture."""
-        colour, plane_depth_m = self.srgb_u8[view], self.plane_depth_m[view].astype(np.float32)
-        ambient = sensed_ambient(colour, self.exposure)
-        pose = self.world_from_camera[view]
-        return RgbdFrame(colour, plane_depth_m, self.pinhole, pose, self.exposure, ambient, frame=view)
 
 
 def as_float16(values: NDArray[Any]) -> ArrayF16:

@@ -16,20 +16,20 @@ from pathlib import Path
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import from_json
 from xihe_blender.lab.rooms.build import BuildSettings
-from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
+from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.store import room_path, save_room
 
 
 def make_rooms(folder: Path, settings: BuildSettings, rooms: Iterable[int], is_stopped: Callable[[], bool]) -> None:
     """Make the rooms that are not there yet; stops between rooms when told to, or when its parent process is gone."""
-    parent, render = os.getppid(), RoomRenderSettings.of(settings.render)
+    parent = os.getppid()
     own = {name: getattr(settings, name) for name in ("walk", "views", "varied", "by_day")}
     for index in rooms:
         if is_stopped() or os.getppid() != parent:
             return
         path = room_path(folder, index)
         if not path.exists():
-            save_room(path, make_room(settings.seed, index, render, **own))
+            save_room(path, make_room(settings.seed, index, settings.render, **own))
 
 
 def main() -> int:
