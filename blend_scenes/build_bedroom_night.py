@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 from staging import N_FRAMES, add_virtual, main, open_stage, walk_phone
 
+from xihe_blender.lab.props import Collection
 from xihe_blender.lab.props.furniture import (
     add_bed,
     add_bench,
@@ -24,7 +25,7 @@ from xihe_blender.lab.props.furniture import (
     add_plant,
 )
 from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
-from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.lab.props.room_shell import Opening, Room, add_shell
 from xihe_blender.lab.props.shapes import Place, add_solid, ball, box, box_between, joined, revolved
 from xihe_blender.lab.props.surfaces import carpet, curtain_cloth, fabric, foliage, paint, painting, plain, planks, wood
 
@@ -33,8 +34,6 @@ DOOR = Opening("-y", 0.9, 1.75, 0.0, 2.02, is_door=True)
 ROOM = Room(4.2, 3.8, 2.5, openings=(WINDOW, DOOR))
 CHEST_HEIGHT_M, BENCH_HEIGHT_M = 0.52, 0.45
 LEFT_CHEST, RIGHT_CHEST = (-1.2, 1.62), (1.2, 1.62)
-
-Collection = bpy.types.Collection
 
 
 def build() -> bpy.types.Scene:
@@ -55,10 +54,9 @@ def add_walls(room: Collection) -> None:
     wall, deep = paint("Wall paint", (0.6, 0.57, 0.52)), paint("Deep paint", (0.13, 0.2, 0.27))
     white = plain("White lacquer", (0.72, 0.72, 0.7), roughness=0.4)
     floor = planks("Walnut planks", (0.15, 0.08, 0.045), (0.25, 0.15, 0.085))
-    add_shell(room, ROOM, floor=floor, walls={"+x": wall, "-x": wall, "+y": deep, "-y": wall}, ceiling=wall)
-    add_skirting(room, ROOM, white)
-    add_window(room, ROOM, WINDOW, white, white)
-    add_door(room, ROOM, DOOR, white, white, plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3))
+    steel = plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3)
+    walls = {"+x": wall, "-x": wall, "+y": deep, "-y": wall}
+    add_shell(room, ROOM, floor=floor, walls=walls, ceiling=wall, trim=white, handle=steel)
 
 
 def add_sleeping_place(room: Collection) -> None:

@@ -16,11 +16,12 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from staging import add_three_sphere_rig, arc, main, open_stage, walk_phone
+from staging import arc, main, open_stage, walk_phone
 
 from xihe_blender.lab.props.lighting import set_sky
 from xihe_blender.lab.props.shapes import Solid, add_solid, box_between
 from xihe_blender.lab.props.surfaces import plain
+from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 
 LIGHT_RADIANCE, OUTSIDE_RADIANCE = 14.0, 0.05
 SHORT_BOX_MIDDLE, TALL_BOX_MIDDLE = (0.35, -0.3), (-0.35, 0.35)

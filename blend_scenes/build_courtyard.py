@@ -12,14 +12,15 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
-from staging import add_three_sphere_rig, arc, main, open_stage, walk_phone
+from staging import arc, main, open_stage, walk_phone
 
-from xihe_blender.lab.props import Material, Vector
+from xihe_blender.lab.props import Collection, Material, Vector
 from xihe_blender.lab.props.furniture import add_chair, add_plant, add_round_table
 from xihe_blender.lab.props.lighting import set_panorama
 from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_window, wall_solid
 from xihe_blender.lab.props.shapes import Place, Solid, add_solid, box, box_between, joined, tube
 from xihe_blender.lab.props.surfaces import fabric, foliage, masonry, paint, plain, wood
+from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 
 DOOR = Opening("+y", -0.55, 0.55, 0.0, 2.25, is_door=True)
 WINDOWS = (
@@ -29,8 +30,6 @@ WINDOWS = (
 HOUSE = Room(8.4, 6.0, 4.2, wall_m=0.35, openings=(DOOR, *WINDOWS))
 TABLE_HEIGHT_M = 0.74
 PANORAMA_TURN_DEG = 100.0
-
-Collection = bpy.types.Collection
 
 
 def build() -> bpy.types.Scene:

@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 from staging import add_virtual, arc, main, open_stage, walk_phone
 
+from xihe_blender.lab.props import Collection
 from xihe_blender.lab.props.furniture import (
     add_bookcase,
     add_cabinet,
@@ -27,7 +28,7 @@ from xihe_blender.lab.props.furniture import (
     add_table,
 )
 from xihe_blender.lab.props.lighting import add_floor_lamp, add_pendant, add_sun, set_sky
-from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.lab.props.room_shell import Opening, Room, add_shell
 from xihe_blender.lab.props.shapes import Place, add_solid, ball, box, box_between, joined, revolved
 from xihe_blender.lab.props.surfaces import (
     carpet,
@@ -48,8 +49,6 @@ ROOM = Room(5.4, 4.6, 2.6, openings=(WINDOW, DOOR))
 TABLE = (0.25, 0.0, 0.74)
 VASE_PLACE = (0.0, 0.05, 0.74)
 SPHERE_PLACE, SPHERE_RADIUS_M = (-0.4, 1.2, 0.5), 0.13
-
-Collection = bpy.types.Collection
 
 
 def build() -> bpy.types.Scene:
@@ -74,10 +73,9 @@ def add_walls(room: Collection) -> None:
     white = plain("White lacquer", (0.75, 0.75, 0.73), roughness=0.35)
     floor = planks("Oak planks", (0.27, 0.15, 0.075), (0.42, 0.26, 0.14))
     walls = {"+x": wall, "-x": accent, "+y": wall, "-y": wall}
-    add_shell(room, ROOM, floor=floor, walls=walls, ceiling=paint("Ceiling paint", (0.78, 0.78, 0.76)))
-    add_skirting(room, ROOM, white)
-    add_window(room, ROOM, WINDOW, white, white, n_casements=3)
-    add_door(room, ROOM, DOOR, white, white, plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3))
+    ceiling = paint("Ceiling paint", (0.78, 0.78, 0.76))
+    steel = plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3)
+    add_shell(room, ROOM, floor=floor, walls=walls, ceiling=ceiling, trim=white, handle=steel, n_casements=3)
 
 
 def add_seating(room: Collection) -> None:

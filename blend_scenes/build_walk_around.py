@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 from staging import add_virtual, arc, main, open_stage, walk_phone
 
+from xihe_blender.lab.props import Collection
 from xihe_blender.lab.props.furniture import (
     add_bookcase,
     add_cabinet,
@@ -26,7 +27,7 @@ from xihe_blender.lab.props.furniture import (
     add_sofa,
 )
 from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
-from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.lab.props.room_shell import Opening, Room, add_shell
 from xihe_blender.lab.props.shapes import Place, add_solid, ball, box_between, revolved
 from xihe_blender.lab.props.surfaces import (
     carpet,
@@ -51,8 +52,6 @@ JAR_PROFILE = [
     (0.078, 0.145), (0.062, 0.165), (0.07, 0.172), (0.07, 0.18), (0.045, 0.2),
     (0.016, 0.208), (0.012, 0.216), (0.02, 0.228), (0.014, 0.24), (0, 0.243),
 ]  # fmt: skip
-
-Collection = bpy.types.Collection
 
 
 def build() -> bpy.types.Scene:
@@ -92,10 +91,9 @@ def add_walls(room: Collection) -> None:
         "-y": paint("Chalk paint", (0.65, 0.65, 0.63)),
     }
     floor = planks("Pine planks", (0.38, 0.24, 0.12), (0.52, 0.36, 0.2), width_m=0.12)
-    add_shell(room, ROOM, floor=floor, walls=walls, ceiling=paint("Ceiling paint", (0.74, 0.74, 0.72)))
-    add_skirting(room, ROOM, white)
-    add_window(room, ROOM, WINDOW, white, white)
-    add_door(room, ROOM, DOOR, white, white, plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3))
+    ceiling = paint("Ceiling paint", (0.74, 0.74, 0.72))
+    steel = plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3)
+    add_shell(room, ROOM, floor=floor, walls=walls, ceiling=ceiling, trim=white, handle=steel)
 
 
 def add_furniture(room: Collection, rng: np.random.Generator) -> None:

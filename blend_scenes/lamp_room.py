@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 from staging import add_virtual, hold_phone, open_stage
 
+from xihe_blender.lab.props import Collection
 from xihe_blender.lab.props.furniture import (
     add_bookcase,
     add_cabinet,
@@ -26,7 +27,7 @@ from xihe_blender.lab.props.furniture import (
     add_table,
 )
 from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
-from xihe_blender.lab.props.room_shell import Opening, Room, add_door, add_shell, add_skirting, add_window
+from xihe_blender.lab.props.room_shell import Opening, Room, add_shell
 from xihe_blender.lab.props.shapes import Place, add_solid, ball, box, box_between, cylinder, joined
 from xihe_blender.lab.props.surfaces import (
     carpet,
@@ -46,8 +47,6 @@ DOOR = Opening("+x", -1.2, -0.4, 0.0, 2.02, is_door=True)
 ROOM = Room(3.2, 2.8, 2.5, openings=(WINDOW, DOOR))
 DESK_HEIGHT_M = 0.74
 LAMP_WATTS, SHADE_RADIANCE = 23.0, 1.8
-
-Collection = bpy.types.Collection
 
 
 def build_lamp_room(name: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
@@ -77,10 +76,9 @@ def _add_walls(room: Collection) -> None:
     accent = paint("Accent paint", (0.28, 0.36, 0.42))
     white = plain("White lacquer", (0.75, 0.75, 0.73), roughness=0.35)
     floor = planks("Ash planks", (0.36, 0.25, 0.15), (0.5, 0.38, 0.25), width_m=0.11)
-    add_shell(room, ROOM, floor=floor, walls={"+x": wall, "-x": wall, "+y": accent, "-y": wall}, ceiling=wall)
-    add_skirting(room, ROOM, white)
-    add_window(room, ROOM, WINDOW, white, white)
-    add_door(room, ROOM, DOOR, white, white, plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3))
+    steel = plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3)
+    walls = {"+x": wall, "-x": wall, "+y": accent, "-y": wall}
+    add_shell(room, ROOM, floor=floor, walls=walls, ceiling=wall, trim=white, handle=steel)
 
 
 def _add_desk(room: Collection) -> None:

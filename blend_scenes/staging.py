@@ -19,22 +19,10 @@ from mathutils import Euler, Vector
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # a clone builds its scenes without being installed
 
 from xihe_blender.lab.props.shapes import Solid, add_solid
-from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_collection
 
 N_FRAMES = 24
 PHONE_WIDTH_FOV_DEG = 66.0
-__all__ = [
-    "add_three_sphere_rig",
-    "add_virtual",
-    "arc",
-    "build_file",
-    "finish",
-    "hold_phone",
-    "main",
-    "open_stage",
-    "walk_phone",
-]
 
 
 def open_stage(name: str) -> tuple[bpy.types.Scene, bpy.types.Collection]:

@@ -11,6 +11,7 @@ by the side it stands on: "+x", "-x", "+y", "-y". Along a wall, the position run
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from xihe_blender.lab.props import Collection, Material
@@ -80,9 +81,10 @@ class Room(Walls):
 
 
 def add_shell(
-    collection: Collection, room: Room, *, floor: Material, walls: dict[str, Material], ceiling: Material
-) -> None:
-    """Floor slab, ceiling slab and the walls; a wall without a material is left out."""
+    collection: Collection, room: Room, *, floor: Material, walls: dict[str, Material], ceiling: Material,
+    trim: Material, handle: Material, n_casements: int = 2,
+) -> None:  # fmt: skip
+    """Floor slab, ceiling slab, the walls, and in `trim` their skirting, windows and doors."""
     half_x, half_y = room.width / 2 + room.wall_m, room.length / 2 + room.wall_m
     slab = box_between((-half_x, -half_y, -0.2), (half_x, half_y, 0.0))
     add_solid(collection, "Floor", slab, floor)
@@ -90,6 +92,12 @@ def add_shell(
     add_solid(collection, "Ceiling", lid, ceiling)
     for wall, material in walls.items():
         add_solid(collection, f"Wall {wall}", wall_solid(room, wall), material)
+    add_skirting(collection, room, trim, walls)
+    for opening in room.openings:
+        if opening.is_door:
+            add_door(collection, room, opening, trim, trim, handle)
+        else:
+            add_window(collection, room, opening, trim, trim, n_casements)
 
 
 def wall_solid(room: Walls, wall: str) -> Solid:
@@ -106,10 +114,10 @@ def wall_solid(room: Walls, wall: str) -> Solid:
     return joined([*pieces, room.wall_box(wall, (edge, end), out, (0.0, room.height))])
 
 
-def add_skirting(collection: Collection, room: Walls, material: Material, walls: str = "+x -x +y -y") -> None:
+def add_skirting(collection: Collection, room: Walls, material: Material, walls: Iterable[str]) -> None:
     """Skirting boards along the walls, interrupted at doors."""
     boards, out, up = [], (-SKIRTING_THICKNESS_M, 0.0), (0.0, SKIRTING_HEIGHT_M)
-    for wall in walls.split():
+    for wall in walls:
         edge, end = room.inner_ends(wall)
         for door in sorted((o for o in room.openings if o.wall == wall and o.is_door), key=lambda o: o.low):
             boards.append(room.wall_box(wall, (edge, door.low - 0.07), out, up))

@@ -100,7 +100,7 @@ def add_shell(things: Collection, room: Room) -> None:
     paints = {finish: material_of(f"Wall {i}", finish) for i, finish in enumerate(dict.fromkeys(room.walls))}
     for i, finish in enumerate(room.walls):
         add_solid(things, f"Wall {i}", wall_solid(walls, str(i)), paints[finish])
-    add_skirting(things, walls, trim, " ".join(str(i) for i in range(len(room.walls))))
+    add_skirting(things, walls, trim, map(str, range(len(room.walls))))
     for hole, opening in zip(room.holes, openings, strict=True):
         if hole.is_door:
             add_door(things, walls, opening, trim, trim, surfaces.plain("Handle", (0.6, 0.6, 0.6), metallic=1.0))
