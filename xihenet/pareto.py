@@ -3,13 +3,11 @@
 A choice is dominated if another is no worse in both and better in one; those that are not form the front. Ties stay
 together: two choices of equal error and equal cost are both on it, or both off. The front is that of the plain numbers,
 with no tolerance, so that anyone who has them finds the same one. How far it can be trusted is a question of its own:
-`front_share` measures it again and again on resampled measurements, and `flickering` compares whole runs. Rejected: a
-margin within which choices count as equal, which makes being on the front depend on a number that nobody has measured.
+`front_share` measures it again and again on resampled measurements. Rejected: a margin within which choices count as
+equal, which makes being on the front depend on a number that nobody has measured.
 """
 
 from __future__ import annotations
-
-from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -68,12 +66,6 @@ def front_share(
         cost = np.median(rounds[rng.integers(len(rounds), size=len(rounds))], axis=0)
         count += on_front(error, cost)
     return count / n_resamples
-
-
-def flickering(fronts: Sequence[Collection[str]]) -> list[str]:
-    """Names that are on some of the fronts of several runs but not on all, in alphabetical order."""
-    names: Iterable[str] = {name for front in fronts for name in front}
-    return sorted(name for name in names if not all(name in front for front in fronts))
 
 
 def _checked(errors: ArrayLike, costs: ArrayLike) -> tuple[ArrayF64, ArrayF64]:

@@ -27,10 +27,10 @@ import numpy as np
 
 from xihenet.codec import encode_cloud
 from xihenet.edge.batching import Inference, Job
+from xihenet.edge.bench import random_cloud
 from xihenet.edge.protocol import DEFAULT_METHOD, content_type_of
-from xihenet.records import UnitSphereCloud
 
-N_ANCHORS, SEEN_SHARE = 1280, 0.5
+N_ANCHORS = 1280
 MOST_CONNECTIONS = 128
 
 
@@ -50,19 +50,13 @@ class Answers:
         return f"{statuses}; {rate:.0f} lights/s; p50 {p50:.1f} ms, p99 {p99:.1f} ms, most {ms.max():.1f} ms"
 
 
-def cloud_of(rng):
-    is_set = rng.random(N_ANCHORS) < SEEN_SHARE
-    srgb = rng.random((N_ANCHORS, 3)) * is_set[:, None]
-    return UnitSphereCloud(srgb, rng.uniform(0.5, 5, N_ANCHORS) * is_set, is_set)
-
-
 class Client:
     """One phone: its connection and session, in the published or the clean form."""
 
     def __init__(self, port, seed, form="published"):
         self.port, self.form, rng = port, form, np.random.default_rng(seed)
         method = DEFAULT_METHOD if form == "clean" else "uint8_float16_stripped"
-        self.bodies = [encode_cloud(cloud_of(rng), method) for _ in range(8)]
+        self.bodies = [encode_cloud(random_cloud(rng, N_ANCHORS), method) for _ in range(8)]
         self.n_asked = 0
 
     async def open(self):
@@ -215,7 +209,7 @@ def batches_alone(name, cores, seconds=5.0):
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, cores)
     inference, rng = Inference(name), np.random.default_rng(0)
-    jobs, n = [Job(cloud_of(rng), "ldr") for _ in range(16)], 0
+    jobs, n = [Job(random_cloud(rng, N_ANCHORS), "ldr") for _ in range(16)], 0
     inference(jobs)
     start = time.process_time()
     while time.process_time() - start < seconds:

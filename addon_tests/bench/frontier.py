@@ -13,7 +13,6 @@ from given import paths
 from xihe_blender.io.json_records import from_json
 from xihe_blender.lab.frontier.points import group, groups
 from xihe_blender.lab.frontier.records import Frontier
-from xihenet.pareto import flickering
 
 KINDS = ("coefficients", "irradiance", "picture")
 PRESETS = ("draft", "balanced", "accurate")
@@ -47,7 +46,7 @@ def flickering_table(runs):
             continue
         steady = set.intersection(*fronts)
         print(f"{' '.join(each)}: {len(fronts)} runs, {len(steady)} choices on the front in all of them")
-        for label in flickering(fronts):
+        for label in sorted(set.union(*fronts) - steady):
             print(f"    flickers ({sum(label in front for front in fronts)} of {len(fronts)}): {label}")
 
 

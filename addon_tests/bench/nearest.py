@@ -15,8 +15,9 @@ import numpy as np
 from interleaved import interleaved_ms
 from scipy.spatial import cKDTree
 
+from xihe_blender.lab.paper.studies.acceleration_grid import in_cube, is_wrong
 from xihenet.anchor_table import build_anchor_table, cells_for
-from xihenet.records import ArrayF32, ArrayInt, PointCloud
+from xihenet.records import ArrayInt, PointCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
@@ -37,18 +38,6 @@ def main() -> None:
     print_sizes(options.points, options.repeats)
 
 
-def in_cube(n_points: int, seed: int = 0) -> ArrayF32:
-    """Points of a cube of 10 m around the origin."""
-    return np.random.default_rng(seed).uniform(-5, 5, (n_points, 3)).astype(np.float32)
-
-
-def n_wrong(lattice: AnchorLattice, points: ArrayF32, anchors: ArrayInt, best: ArrayInt) -> int:
-    """How many anchors lie more than 1e-7 in cosine below the best, in float64."""
-    directions = points / np.linalg.norm(points.astype(np.float64), axis=1, keepdims=True)
-    lead = ((lattice.directions[best] - lattice.directions[anchors]) * directions).sum(axis=1)
-    return int((lead > 1e-7).sum())
-
-
 def print_row(cells: Sequence[object], widths: Sequence[int]) -> None:
     first, *others = (str(cell) for cell in cells)
     print(first.ljust(widths[0]) + "".join(cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)))
@@ -56,7 +45,7 @@ def print_row(cells: Sequence[object], widths: Sequence[int]) -> None:
 
 def print_times(repeats: int) -> None:
     """The table of methods, and unit-sphere sampling as a whole."""
-    lattice, points = AnchorLattice(N_ANCHORS), in_cube(N_POINTS)
+    lattice, points = AnchorLattice(N_ANCHORS), in_cube(N_POINTS, np.random.default_rng(0))
     tree = cKDTree(lattice.directions)
     finders: dict[str, Callable[[], ArrayInt]] = {
         "exact": lambda: lattice.nearest(points),
@@ -82,14 +71,14 @@ def print_times(repeats: int) -> None:
     print(f"{N_POINTS} points, {N_ANCHORS} anchors")
     print_row(("", "min ms", "median ms", "x table", "wrong"), widths)
     for name, values in elapsed_ms.items():
-        wrong = n_wrong(lattice, points, finders[name](), best) if name in finders else ""
+        wrong = int(is_wrong(lattice, points, finders[name](), best).sum()) if name in finders else ""
         median = np.median(values)
         print_row((name, f"{min(values):.3f}", f"{median:.3f}", f"{median / base:.2f}", wrong), widths)
 
 
 def print_sizes(n_points: int, repeats: int) -> None:
     """Wrong answers, time against the table's, and build time, for each number of anchors."""
-    points, frame = in_cube(n_points, seed=3), in_cube(N_POINTS, seed=4)
+    points, frame = (in_cube(n, np.random.default_rng(seed)) for n, seed in ((n_points, 3), (N_POINTS, 4)))
     widths = (10, 14, 14, 22, 10, 14, 14)
     print(f"\nwrong of {n_points} points; exact / table 1024x512 for {N_POINTS} points; seconds to build")
     print_row(
@@ -103,7 +92,8 @@ def print_sizes(n_points: int, repeats: int) -> None:
         lattice.neighbours(4)
         paired = time.perf_counter()
         best = lattice.nearest(points, "brute")
-        wrong = [n_wrong(lattice, points, lattice.nearest(points, method), best) for method in ("exact", "table")]
+        found = [lattice.nearest(points, method) for method in ("exact", "table")]
+        wrong = [int(is_wrong(lattice, points, anchors, best).sum()) for anchors in found]
         calls = {"exact": lambda at=lattice: at.nearest(frame), "table": lambda at=lattice: at.nearest(frame, "table")}
         exact_ms, table_ms = interleaved_ms(calls, 5 * repeats).values()
         ratio = f"{np.median(exact_ms) / np.median(table_ms):.2f} ({min(exact_ms) / min(table_ms):.2f})"

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 from given import paths
-from scipy.stats import spearmanr
 
 from xihenet import estimators
 from xihenet.buffers import merge
@@ -24,6 +23,7 @@ from xihenet.camera import unproject_frame
 from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture
 from xihenet.metrics import shc_rmse
+from xihenet.placement import rank_correlation
 from xihenet.records import ArrayF64
 from xihenet.sampling import sample_unit_sphere
 from xihenet.session_score import score_places, score_session
@@ -68,7 +68,7 @@ def main() -> None:
         if not found or np.isnan(list(errors.values())).any():
             print(f"| {folder.name} | nothing could be asked |", flush=True)
             continue
-        correlations.append(float(spearmanr([found[n] for n in NAMES], [errors[n] for n in NAMES]).statistic))
+        correlations.append(rank_correlation([found[n] for n in NAMES], [errors[n] for n in NAMES]))
         n_best += min(found, key=found.__getitem__) == min(errors, key=errors.__getitem__)
         cells = " | ".join(f"{found[name]:.3f}, {errors[name]:.3f}" for name in NAMES)
         print(f"| {folder.name} | {cells} | {correlations[-1]:.2f} |", flush=True)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from xihenet.pareto import dominators, flickering, front_share, on_front
+from xihenet.pareto import dominators, front_share, on_front
 
 # Few values, so that ties are common; infinity is legal.
 values = st.sampled_from([0.0, 1e-300, 0.5, 1.0, 2.0, 3.0, np.inf])
@@ -54,15 +54,6 @@ def test_what_disturbs_a_round_disturbs_all_choices_and_no_front():
     load = np.random.default_rng(3).uniform(1, 10, (9, 1))
     share = front_share([[4.0, 1.0, 4.0]], load * [1.0, 2.0, 1.01], np.random.default_rng(4))
     assert share.tolist() == [1.0, 1.0, 0.0]
-
-
-@given(st.lists(st.sets(st.sampled_from("abcde")), max_size=4))
-def test_what_flickers_is_on_some_fronts_and_not_on_all(fronts):
-    found = flickering(fronts)
-    assert found == sorted(found)
-    for name in "abcde":
-        times = sum(name in front for front in fronts)
-        assert (name in found) == (0 < times < len(fronts))
 
 
 @pytest.mark.parametrize("rows", [([1.0], [1.0, 2.0]), ([[1.0]], [[1.0]]), ([float("nan")], [1.0])])
