@@ -6,6 +6,7 @@ All in one process: each build starts from an empty file, so none sees what anot
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -22,7 +23,7 @@ SCENES = (
 )
 
 
-def build_all(folder: Path, names: tuple[str, ...] = SCENES) -> list[Path]:
+def build_all(folder: Path, names: Sequence[str]) -> list[Path]:
     """Write `<name>.blend` for each name into an existing folder; returns the paths."""
     paths = [folder / f"{name}.blend" for name in names]
     for name, path in zip(names, paths, strict=True):
@@ -39,7 +40,7 @@ def main() -> None:
     unknown = sorted(set(arguments.names) - set(SCENES))
     if unknown:
         parser.error(f"no such scene: {', '.join(unknown)}; there are {', '.join(SCENES)}")
-    build_all(arguments.out, tuple(arguments.names) or SCENES)
+    build_all(arguments.out, arguments.names or SCENES)
 
 
 if __name__ == "__main__":

@@ -140,7 +140,7 @@ def add_bench(place: Place, width: float, slats: Material, iron: Material) -> No
 
 def add_planter(
     place: Place, size: Vector, stone: Material, soil: Material, leaves: Material, rng: np.random.Generator,
-    *, shrub_m: float = 0.4,
+    *, shrub_m: float,
 ) -> None:  # fmt: skip
     """A trough of full extents `size` with a row of round shrubs of radius `shrub_m`."""
     x, y, z = size

@@ -35,7 +35,6 @@ from xihenet.records import ArrayF64
 PROBE_SAMPLES = 2  # rays in each pixel of the reference probe's picture of all light
 PICTURE = RenderSettings((48, 36), samples=8, denoise=False)
 N_SEEDS, APART_SEEDS, FEWEST_SEEDS = 6, 4, 2
-BUDGET_S = 60.0
 
 OWN_SCENE = frozenset({"motion blur", "denoising"})
 """Effects that are switched in a scene of their own, without taking turns: motion blur ends the process where geometry
@@ -75,8 +74,8 @@ def measure_costs(
     positions: Sequence[ArrayLike],
     frame: int,
     *,
-    budget_s: float = BUDGET_S,
-    on_cost: Callable[[str, EffectCost], None] | None = None,
+    budget_s: float,
+    on_cost: Callable[[str, EffectCost], None] | None,
 ) -> Job[dict[str, EffectCost]]:
     """What every effect that a setting switches costs and changes; `scene` stays as it is.
 

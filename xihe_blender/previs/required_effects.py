@@ -18,7 +18,7 @@ from xihe_blender.capture.phone_surfaces import ask_for_surfaces, surfaces_in
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.light_transport.costs import BUDGET_S, measure_costs
+from xihe_blender.light_transport.costs import measure_costs
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.plan import required_effects
 from xihe_blender.previs.phone_capture import CaptureFacts, ChosenPhone, choose_phone, facts_of_capture, simulate_phone
@@ -38,7 +38,7 @@ def effects_of_run(
     settings: PrevisSettings,
     *,
     is_measured: bool = True,
-    budget_s: float = BUDGET_S,
+    budget_s: float = 60.0,
     on_planned: Callable[[dict[str, Effect]], None] | None = None,
     on_cost: Callable[[str, EffectCost], None] | None = None,
 ) -> Job[dict[str, Effect]]:

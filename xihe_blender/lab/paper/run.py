@@ -99,7 +99,7 @@ def chosen_studies(only: Sequence[str]) -> list[Study]:
     return [study for name, study in found.items() if not only or name in only]
 
 
-def evaluate_paper(out: Path, settings: PaperSettings, command: str = "") -> Job[list[StudyResult]]:
+def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list[StudyResult]]:
     """A job: measure what is not measured yet, and write tables and report; the results of all studies there are.
 
     UserError, before anything is rendered, for an unknown study, a scene of the user's that cannot be run, a seed

@@ -84,7 +84,7 @@ def add_floor_lamp(place: Place, metal: Material, *, height: float = 1.6, **ligh
     return _add_shaded_bulb(place, [(0.21, height - 0.3), (0.17, height)], height - 0.15, **light)
 
 
-def add_pendant(place: Place, shell: Material, cord: Material, *, drop: float = 0.7) -> None:
+def add_pendant(place: Place, shell: Material, cord: Material, *, drop: float) -> None:
     """A pendant lamp that is switched off, hanging from the place's height."""
     dome = [(0.2, -drop), (0.185, -drop + 0.07), (0.13, -drop + 0.14), (0.05, -drop + 0.18), (0.0, -drop + 0.185)]
     place.add(revolved(dome, 40), shell, "shell", smooth=True)
@@ -143,7 +143,7 @@ def set_sky(
         nodes.set(background, {"Strength": _along(nodes, direction, side, (0.2 * strength, strength))})
 
 
-def set_panorama(scene: bpy.types.Scene, file_name: str, *, strength: float, turn_deg: float = 0.0) -> None:
+def set_panorama(scene: bpy.types.Scene, file_name: str, *, strength: float, turn_deg: float) -> None:
     """One of the CC0 panoramas that Blender ships in its studio lights, packed into the file."""
     folder = Path(bpy.utils.system_resource("DATAFILES", path="studiolights/world"))
     image = bpy.data.images.load(str(folder / file_name))

@@ -61,7 +61,7 @@ def box_between(low: Vector, high: Vector) -> Solid:
     return box((ends[1] - ends[0]).tolist(), (ends.sum(axis=0) / 2).tolist())
 
 
-def revolved(profile: Sequence[tuple[float, float]], n_segments: int = 32) -> Solid:
+def revolved(profile: Sequence[tuple[float, float]], n_segments: int) -> Solid:
     """A solid of revolution about Z from a profile of (radius, height) that runs upwards on the outside.
 
     A radius of 0 at an end closes it with a fan; otherwise it stays open.
