@@ -18,7 +18,7 @@ from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.choices import FULL, RenderCandidate
-from xihe_blender.lab.frontier.compute import KINDS, Walk
+from xihe_blender.lab.frontier.compute import KINDS
 from xihe_blender.lab.frontier.records import FrontierSettings, RenderChoice
 from xihe_blender.lab.frontier.rendering import COMPUTED_BY, RenderStudy, SceneStudy, measure_rendering
 from xihe_blender.lab.frontier.study import prepare, survey_scene
@@ -54,7 +54,6 @@ def measured(file, folder, effort, seed):
                 **vars(study),
                 scanner=scanner,
                 capture=capture,
-                walk=Walk([], [], positions_m, [], prepared.exposure),
                 views=views,
                 choices=choices,
                 exhaustive=exhaustive,

@@ -26,7 +26,7 @@ from xihe_blender.compare.shadows import ring_rmse
 from xihe_blender.io.json_records import Json, from_json
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import RenderCandidate
-from xihe_blender.lab.frontier.compute import AGAINST_TRUTH
+from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, Walk
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice
 from xihe_blender.lab.frontier.rendering import RenderStudy, kept_or_done, rendered, use_threads
@@ -73,7 +73,7 @@ def picture_choices(presets: Mapping[str, RenderChoice]) -> list[RenderCandidate
 
 
 def measure_pictures(
-    study: RenderStudy, choices: Sequence[RenderCandidate]
+    study: RenderStudy, walk: Walk, choices: Sequence[RenderCandidate]
 ) -> Job[tuple[list[Measured], dict[str, tuple[float, ...]]]]:
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
@@ -81,7 +81,7 @@ def measure_pictures(
     read = functools.partial(kept_pictures, choices)
     for number, frame in enumerate(frames):
         path = study.folder / f"pictures_{frame:04d}.json"
-        job = part_of(len(frames), number, 1, _view_measured(study, choices, frame))
+        job = part_of(len(frames), number, 1, _view_measured(study, walk, choices, frame))
         rounds.append((yield from kept_or_done(path, read, job)))
     if not rounds:
         return [], {}
@@ -112,13 +112,15 @@ def kept_pictures(choices: Sequence[RenderCandidate], content: Json) -> Pictures
     return taken
 
 
-def _view_measured(study: RenderStudy, choices: Sequence[RenderCandidate], frame: int) -> Job[PicturesTaken]:
+def _view_measured(
+    study: RenderStudy, walk: Walk, choices: Sequence[RenderCandidate], frame: int
+) -> Job[PicturesTaken]:
     yield Progress(0, 1, f"comparing frame {frame} exhaustively")
     captured = study.reference(frame)
     study.scanner.move_to(frame)
     study.load_scene(study.settings.seed)
     rng = np.random.default_rng([study.settings.seed, frame])
-    lights = {by.label: Session(study, frame, by.estimator).lights_after(captured) for by in METHODS}
+    lights = {by.label: Session(study, walk, frame, by.estimator).lights_after(captured) for by in METHODS}
     comparison = replace(study.capture, samples=1)
     # Of the user's scene: in the scanner's there are no virtual objects.
     with open_comparer(study.scene, study.plan.objects, list(lights), comparison) as comparer:
@@ -139,7 +141,7 @@ def _view_measured(study: RenderStudy, choices: Sequence[RenderCandidate], frame
                 choice = own[number]
                 share = 0.4 + 0.6 * len(taken) / len(choices)
                 yield Progress(share, 1, f"comparing frame {frame}: {choice.label}")
-                session = Session(study, frame, METHODS[0].estimator, choice.light or "sh")
+                session = Session(study, walk, frame, METHODS[0].estimator, choice.light or "sh")
                 made, ms = timed(_made, study, choice, comparer, session)
                 errors = _square_errors(made, truth, base)
                 taken[choice.key] = PictureTaken(ms, {kind: errors[kind] for kind in error_kinds(choice)})
@@ -149,13 +151,13 @@ def _view_measured(study: RenderStudy, choices: Sequence[RenderCandidate], frame
 class Session:
     """A phone that came along the walk and is now at the place of `frame`, which it has not captured yet."""
 
-    def __init__(self, study: RenderStudy, frame: int, estimator: str, light: LightParts = "sh") -> None:
+    def __init__(self, study: RenderStudy, walk: Walk, frame: int, estimator: str, light: LightParts = "sh") -> None:
         settings = PrevisSettings(
             seed=study.settings.seed,
             light=light,
             trigger=replace(PREVIS_TRIGGER, theta=0.0, coverage_theta=0.0),
         )
-        self.plan, walk = study.plan, study.walk
+        self.plan = study.plan
         of_choice = estimators.load(estimator, settings.n_anchors, settings.target)
         self.chain = PhoneSession(study.plan.probes, settings.chain(walk.exposure), of_choice, None, seed=settings.seed)
         self.seen: list[RgbdFrame] = []

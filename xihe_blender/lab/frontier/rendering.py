@@ -27,7 +27,7 @@ from xihe_blender.io.kept_files import kept_json, read_kept
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, FULL, QUICK, RenderCandidate
-from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, Walk, light_of_frame, square_errors
+from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.timing import timed
@@ -61,13 +61,12 @@ class SceneStudy:
 class RenderStudy(SceneStudy):
     """What rendering is measured with: a scanner at the session's exposure, which captures as `capture` says.
 
-    `views` are frames of the captured `walk`, at least one, with the positions (3,) in view of each; all choices are
+    `views` are frames of a captured walk, at least one, with the positions (3,) in view of each; all choices are
     held against `exhaustive`.
     """
 
     scanner: CyclesScanner
     capture: RenderSettings
-    walk: Walk
     views: Mapping[int, Sequence[ArrayF64]]
     choices: Sequence[RenderCandidate]
     exhaustive: RenderChoice

@@ -166,7 +166,6 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
                 **vars(study),
                 scanner=scanner,
                 capture=capture,
-                walk=walk,
                 views={frame.frame: [walk.positions[name] for name in names] for frame, names in seen},
                 choices=render_choices(presets, size, study_size, is_quick=settings.is_quick),
                 exhaustive=RenderChoice(size, study_size.reference_samples),
@@ -174,7 +173,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
             medians = [median_and_spread(one.times_ms)[0] for one in computed]
             computing_ms = dict(zip(backends, medians, strict=True))
             rendered, together = yield from share("rendering", measure_rendering(renders, computing_ms))
-            job = measure_pictures(renders, picture_choices(presets))
+            job = measure_pictures(renders, walk, picture_choices(presets))
             pictured, of_estimators = yield from share("pictures", job)
     of_pictures = {label: {OF_TRUTH[0]: errors} for label, errors in of_estimators.items()}
     computed = [replace(one, square_errors=one.square_errors | of_pictures.get(one.label, {})) for one in computed]
