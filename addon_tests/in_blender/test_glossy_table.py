@@ -1,4 +1,4 @@
-"""A phone walks around a glossy table: moving reflections are no change of the light, and a lamp that dims is one."""
+"""A phone walks around a glossy table: moving reflections fire no trigger, and a lamp that dims does."""
 
 from dataclasses import replace
 
