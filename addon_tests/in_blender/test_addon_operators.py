@@ -1,6 +1,5 @@
 """Each operator does what its function does, and says why when it cannot."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -8,25 +7,17 @@ import numpy as np
 import pytest
 from addon_runs import enable_preferences, poll_message, registered_addon, small_panel_runs, walk_for_the_panel
 from previs_runs import walk
-from scene_snapshot import differences, snapshot
-from tiny_scenes import add, box, empty_scene, phone, room_with_a_virtual_sphere, saved
+from scene_snapshot import snapshot
+from tiny_scenes import add, box, empty_scene, memberships, room_with_a_virtual_sphere
 
 from xihe_blender.addon.preferences import own_folder, runs_folder
 from xihe_blender.addon.run_settings import previs_settings
 from xihe_blender.addon.runs_folder import new_run_folder
-from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.previs.required_effects import effects_of_run
-from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, run_time_job
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.virtual_objects import (
-    COLLECTION_NAME,
-    make_room,
-    make_virtual,
-    virtual_collection,
-    virtual_objects,
-)
+from xihe_blender.scene.virtual_objects import make_room, make_virtual, virtual_objects
 
 
 @pytest.fixture(autouse=True)
@@ -41,10 +32,6 @@ def select(*names):
     for item in bpy.context.view_layer.objects:
         item.select_set(item.name in names)
     bpy.context.view_layer.update()
-
-
-def memberships():
-    return {item.name: sorted(home.name for home in item.users_collection) for item in bpy.data.objects}
 
 
 def everything():
@@ -73,59 +60,7 @@ def test_an_operator_of_objects_equals_its_function(operator, function, selected
     select(*selected)
     assert getattr(bpy.ops.xihe, operator)() == {"FINISHED"}
     assert everything() == by_function
-
-
-def test_virtual_and_back_is_the_room_it_was():
-    scene = walk()
-    before = memberships()
-    select("Table")
-    bpy.ops.xihe.add_virtual_objects()
-    assert "Table" in {item.name for item in virtual_objects(scene)} and memberships()["Table"] == [COLLECTION_NAME]
-    assert bpy.context.selected_objects == [bpy.data.objects["Table"]]
-    bpy.ops.xihe.remove_virtual_objects()
-    assert memberships() == before
-
-
-def test_a_virtual_object_leaves_every_collection_of_the_room_and_keeps_its_parent():
-    scene = room_with_a_virtual_sphere()
-    inner, other = bpy.data.collections.new("Inner"), bpy.data.scenes.new("Other")
-    scene.collection.children.link(inner)
-    table = bpy.data.objects["Table"]
-    vase = box(scene, "Vase", (0.2, 0, 0.2), (0.1, 0.1, 0.3), collection=inner)
-    vase.parent = table
-    scene.collection.objects.link(vase)
-    other.collection.objects.link(vase)
-    bpy.context.view_layer.update()
-    place = vase.matrix_world.copy()
-    make_virtual(scene, [vase])
-    bpy.context.view_layer.update()
-    assert {home.name for home in vase.users_collection} == {COLLECTION_NAME, "Scene Collection"}
-    assert vase.name in other.collection.objects and vase.name not in scene.collection.objects
-    assert vase.parent == table and vase.matrix_world == place
-    assert table not in virtual_objects(scene)
-
-
-def test_an_object_goes_back_into_the_collections_that_it_was_in_where_they_are_still_there():
-    scene = room_with_a_virtual_sphere()
-    homes = [bpy.data.collections.new(name) for name in ("Furniture", "Props")]
-    for home in homes:
-        scene.collection.children.link(home)
-    vase, table = box(scene, "Vase", (0, 0, 1), (0.1, 0.1, 0.1), collection=homes[0]), bpy.data.objects["Table"]
-    homes[1].objects.link(vase)
-    before = memberships()
-    for _ in range(2):
-        make_virtual(scene, [vase, table])
-        make_virtual(scene, [vase])  # Once more changes nothing.
-        assert make_room(scene, [vase, table]) == [vase, table]
-        assert memberships() == before and not list(vase.keys()) and not list(table.keys())
-    make_virtual(scene, [vase])
-    bpy.data.collections.remove(homes[0])
-    make_room(scene, [vase])
-    assert memberships()["Vase"] == ["Props"]
-    make_virtual(scene, [vase])
-    bpy.data.collections.remove(homes[1])
-    make_room(scene, [vase])
-    assert memberships()["Vase"] == ["Scene Collection"]
+    assert {item.name for item in bpy.context.selected_objects} == set(selected)
 
 
 @pytest.mark.parametrize("data", [None, "Rig"])
@@ -151,50 +86,6 @@ def test_a_model_whose_empty_or_armature_alone_is_selected_is_added_and_taken_ba
     assert memberships() == before
 
 
-def test_making_nothing_virtual_makes_no_collection():
-    scene = empty_scene()
-    assert make_virtual(scene, [phone(scene, (0, 0, 1), (0, 0, 0))]) == []
-    assert scene.collection.children.keys() == []
-
-
-def test_an_object_in_a_linked_collection_says_so_and_stays(tmp_path):
-    scene = empty_scene()
-    furniture = bpy.data.collections.new("Furniture")
-    scene.collection.children.link(furniture)
-    box(scene, "Chair", (0, 0, 0), (1, 1, 1), collection=furniture)
-    library = saved(tmp_path / "library.blend")
-    scene = empty_scene()
-    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
-        wanted.collections = ["Furniture"]
-    scene.collection.children.link(bpy.data.collections["Furniture"])
-    before = memberships()
-    with pytest.raises(UserError, match="'Furniture', which is linked from another file"):
-        make_virtual(scene, [bpy.data.objects["Chair"]])
-    assert memberships() == before and len(bpy.data.collections) == 1
-
-
-def test_objects_of_a_library_override_are_made_virtual_together(tmp_path):
-    scene = empty_scene()
-    furniture = bpy.data.collections.new("Furniture")
-    scene.collection.children.link(furniture)
-    for name in ("Chair", "Cushion"):
-        box(scene, name, (0, 0, 0), (1, 1, 1), collection=furniture)
-    library = saved(tmp_path / "library.blend")
-    scene = empty_scene()
-    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
-        wanted.collections = ["Furniture"]
-    bpy.data.collections["Furniture"].override_hierarchy_create(scene, bpy.context.view_layer)
-    chair, cushion = (bpy.data.objects[name, None] for name in ("Chair", "Cushion"))
-    before = memberships()
-    with pytest.raises(UserError, match=r"'Furniture' overrides one of another file.*: select 'Cushion' too"):
-        make_virtual(scene, [chair])
-    assert memberships() == before
-    assert make_virtual(scene, [chair, cushion]) == [chair, cushion] == virtual_objects(scene)
-    assert memberships() == before and scene.collection.children.keys() == [COLLECTION_NAME]
-    assert make_room(scene, [chair, cushion]) == [chair, cushion]
-    assert memberships() == before and virtual_objects(scene) == []
-
-
 def test_an_error_stays_in_the_panel_until_something_succeeds():
     empty_scene()
     state = bpy.context.window_manager.xihe
@@ -202,25 +93,6 @@ def test_an_error_stays_in_the_panel_until_something_succeeds():
         bpy.ops.xihe.import_capture()
     assert "No recording is chosen" in state.error
     assert bpy.ops.xihe.add_sphere_rig() == {"FINISHED"} and state.error == ""
-
-
-def test_nothing_goes_into_or_out_of_a_collection_of_virtual_objects_that_is_an_override(tmp_path):
-    scene = empty_scene()
-    box(scene, "Ball", (0, 0, 0), (1, 1, 1), collection=virtual_collection(scene, create=True))
-    library = saved(tmp_path / "library.blend")
-    scene = empty_scene()
-    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
-        wanted.collections = [COLLECTION_NAME]
-    bpy.data.collections[COLLECTION_NAME].override_hierarchy_create(scene, bpy.context.view_layer)
-    box(scene, "Cup", (0, 0, 0), (1, 1, 1))
-    cup, ball = (bpy.data.objects[name, None] for name in ("Cup", "Ball"))
-    before = memberships()
-    for move, item in ((make_virtual, cup), (make_room, ball)):
-        with pytest.raises(UserError, match=f"'{COLLECTION_NAME}' overrides one of another file.*Make Local"):
-            move(scene, [item])
-    assert memberships() == before
-    bpy.data.collections[COLLECTION_NAME, None].make_local(clear_liboverride=True)
-    assert make_virtual(scene, [cup]) == [cup] and make_room(scene, [ball]) == [ball]
 
 
 def test_the_rig_stands_at_the_cursor():
@@ -465,36 +337,8 @@ def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
         bpy.ops.xihe.run()
 
 
-# ------------------------------------------------------------------------------------------------------------ run time
-
-
-@pytest.mark.slow
 @small_panel_runs()
-def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene(tmp_path):
-    scene = walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=2)
-    bpy.context.view_layer.update()
-    before = snapshot()
-    few = run_blocking(run_time_job(scene, previs_settings(scene)))
-    scene.xihe.frame_end = 5
-    many = run_blocking(run_time_job(scene, previs_settings(scene)))
-    assert all(0 < n < many.renders[kind][0] for kind, (n, _) in few.renders.items()) and len(few.renders) == 3
-    scene.xihe.frame_end = 2
-    assert few.total_s > 0
-    assert differences(before, snapshot()) == ({}, [])
-
-
-def test_a_run_of_more_frames_takes_longer_in_proportion():
-    of_each = {"capture": (3, RenderTime(0.1, 0.01, 10)), "comparison": (2, RenderTime(1.0, 0.5, 8))}
-    one = RunTime(2.0, of_each)
-    assert one.total_s == pytest.approx(2 + 3 * 0.2 + 2 * 5)
-    double = replace(one, renders={kind: (2 * n, time) for kind, (n, time) in of_each.items()})
-    assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
-
-
-@small_panel_runs()
-def test_the_estimate_of_time_is_said_with_how_it_was_made(tmp_path):
-    for seconds, words in ((0.3, "5 s"), (170, "3 min"), (5000, "1 h 20 min")):
-        assert format_run_time(seconds) == f"about {words} on this machine"
+def test_how_long_says_the_time_of_the_run(tmp_path):
     walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=1)
     assert bpy.ops.xihe.measure_run() == {"FINISHED"}
     said = bpy.context.window_manager.xihe.run_estimate

@@ -7,7 +7,6 @@ from previs_runs import counted_renders
 from tiny_scenes import opened
 
 from xihe_blender.addon.look_operators import advice_for
-from xihe_blender.addon.overlay import arrow_corners
 from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.better_path import looks_of_run
@@ -60,10 +59,3 @@ def test_the_camera_comes_after_the_advice_and_goes_with_the_light(scene):
     assert better_path_camera().name == BETTER_PATH and scene.camera == own
     assert bpy.ops.xihe.remove_light() == {"FINISHED"}
     assert better_path_camera() is None and BETTER_PATH not in bpy.data.cameras and BETTER_PATH not in bpy.data.actions
-
-
-def test_an_arrow_is_three_triangles_that_end_at_its_tip():
-    corners = arrow_corners((10.0, 10.0), (110.0, 10.0))
-    assert len(corners) == 9 and corners[-1] == (110.0, 10.0)
-    assert all(10.0 <= x <= 110.0 for x, _ in corners)
-    assert arrow_corners((5.0, 5.0), (5.0, 5.0)) == []

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from previs_runs import DRAFT, SMALL, QuickProbes, run, walk
 from results_schema import without_times
-from tiny_scenes import empty_scene, room_with_a_virtual_sphere, saved, set_world, sphere
+from tiny_scenes import empty_scene, linked, room_with_a_virtual_sphere, saved, set_world, sphere
 
 from xihe_blender.apply.datablocks import LIT_SCENE, lights_by_sh
 from xihe_blender.apply.session import XiheController
@@ -222,11 +222,10 @@ def test_a_linked_object_with_the_name_of_another_is_told_apart_by_the_user(libr
 
 def test_light_of_a_library_stays_as_it_is(library, tmp_path):
     scene = room_with_a_virtual_sphere(1)
-    with bpy.data.libraries.load(str(library[2]), link=True) as (_, wanted):
-        wanted.worlds, wanted.node_groups = ["Xihe Ball"], ["Xihe SH Radiance"]
-    linked = wanted.worlds[0]
+    (world,) = linked(library[2], "worlds", "Xihe Ball")
+    linked(library[2], "node_groups", "Xihe SH Radiance")
     run(scene, tmp_path / "again")
-    assert linked.library is not None and linked.node_tree.animation_data.action.library is not None
+    assert world.library is not None and world.node_tree.animation_data.action.library is not None
     assert [world.library for world in bpy.data.worlds if world.name == "Xihe Ball"].count(None) == 1
     assert sh_node_group().library is None
 

@@ -10,18 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
-import numpy as np
 import pytest
-import tiny_scenes
 from addon_runs import registered_addon
 
 from addon_tests.pure import runs
-from xihe_blender.addon import overlay, panels, polls
+from xihe_blender.addon import panels
 from xihe_blender.addon import runs_folder as reader
 from xihe_blender.addon.failures import in_the_panels_words
-from xihe_blender.previs.plan import plan_previs
-from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 
 CONTENT = runs.content(
     [
@@ -48,43 +43,6 @@ CONTENT = runs.content(
 def run_folder(tmp_path):
     (tmp_path / "results.json").write_text(json.dumps(CONTENT), encoding="utf-8")
     return tmp_path
-
-
-def shown_positions(scene):
-    return overlay.shown_positions(scene, bpy.context.evaluated_depsgraph_get())
-
-
-def test_positions_that_are_shown_are_those_of_a_run_by_name_and_place():
-    scene = tiny_scenes.room_with_a_virtual_sphere()
-    tiny_scenes.box(scene, "Shelf", (0, 1.5, 1), (2.5, 0.2, 0.2), collection=virtual_collection(scene))
-    bpy.context.view_layer.update()
-    probes = plan_previs(scene, PrevisSettings()).probes
-    shown = shown_positions(scene)
-    assert [position.name for position in shown] == [probe.name for probe in probes]
-    np.testing.assert_allclose([position.place for position in shown], [p.position_m for p in probes], atol=1e-6)
-    assert len(shown) == 4
-    # The view has Blender units, whatever they are in metres.
-    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.5
-    halved = shown_positions(scene)
-    ball = next(position for position in shown if "Shelf" not in position.name)
-    np.testing.assert_allclose(next(p.place for p in halved if p.name == ball.name), ball.place, atol=1e-6)
-
-
-def test_an_object_that_a_run_would_refuse_shows_no_positions_and_the_others_do():
-    scene = tiny_scenes.room_with_a_virtual_sphere()
-    for name, scale in (("Planet", 1e4), ("Ghost", float("nan"))):
-        tiny_scenes.box(scene, name, (0, 0, 1), (1, 1, 1), collection=virtual_collection(scene)).scale = (scale,) * 3
-    bpy.context.view_layer.update()
-    shown = shown_positions(scene)
-    assert [position.name for position in shown] == ["Ball"]
-
-
-def test_an_overlay_is_never_made_in_background():
-    before = [list(handlers) for handlers in overlay.listened_to()]
-    overlay.register()
-    assert overlay._overlay is None
-    assert [list(handlers) for handlers in overlay.listened_to()] == before
-    overlay.unregister()
 
 
 def test_the_last_run_is_read_out_of_its_results(run_folder):
@@ -177,116 +135,6 @@ def test_progress_tells_the_time_left_and_sentences_are_wrapped_and_lose_no_word
 def test_a_run_of_another_day_is_told_with_its_date():
     assert re.fullmatch(r"at \d\d:\d\d", panels.format_begun(time.time()))
     assert re.fullmatch(r"on 2001-09-\d\d at \d\d:\d\d", panels.format_begun(1e9))
-
-
-def test_coverage_goes_from_one_colour_to_the_other_and_unknown_has_its_own():
-    assert overlay.colour_of(0) == overlay.LITTLE
-    assert overlay.colour_of(1.0) == pytest.approx(overlay.MUCH)
-    assert overlay.colour_of(7) == overlay.colour_of(1)
-    assert overlay.colour_of(None) == overlay.UNKNOWN
-
-
-def test_labels_that_would_overlap_are_moved_down_until_none_does():
-    rng = np.random.default_rng(5)
-    taken = []
-    for x, y in rng.uniform(0, 60, (40, 2)):
-        taken.append(overlay.below_others((x, y, x + 50, y + 12), taken))
-    for place, (left, bottom, right, top) in enumerate(taken):
-        assert top - bottom == pytest.approx(12)
-        for other in taken[:place]:
-            assert left >= other[2] or other[0] >= right or bottom >= other[3] - 1e-9 or other[1] >= top - 1e-9
-    assert overlay.below_others((0, 0, 1, 1), []) == (0, 0, 1, 1)
-
-
-def first_words(scene):
-    return {" ".join(doubt.split()[:2]) for doubt in polls.doubts(scene)} - {"This build"}
-
-
-def test_a_run_that_would_tell_little_is_doubted_before_it():
-    bpy.ops.wm.read_homefile(use_factory_startup=True)
-    scene = bpy.context.scene
-    scene.camera.animation_data_create()  # With nothing in it.
-    assert first_words(scene) == {"The camera"}
-    virtual_collection(scene, create=True).objects.link(bpy.data.objects["Cube"])
-    scene.collection.children["Collection"].objects.unlink(bpy.data.objects["Cube"])
-    assert first_words(scene) == {"The camera", "Only virtual"}
-    bpy.ops.mesh.primitive_plane_add()
-    assert first_words(scene) == {"The camera"}
-    on_rails = bpy.data.objects.new("Rails", None)
-    on_rails.keyframe_insert("location", frame=1)
-    scene.camera.parent = on_rails
-    assert first_words(scene) == set()
-    scene.camera.parent = None
-    scene.camera.constraints.new("FOLLOW_PATH")
-    assert first_words(scene) == set()
-
-
-def doubts_of_objects(scene):
-    bpy.context.view_layer.update()
-    named = {item.name.split(".")[0] for item in virtual_objects(scene)}
-    return [doubt for doubt in polls.doubts(scene) if doubt.split()[0] in named]
-
-
-def test_virtual_objects_that_no_picture_shows_are_doubted():
-    scene = tiny_scenes.room_with_a_virtual_sphere()
-    ball, home = bpy.data.objects["Ball"], virtual_collection(scene)
-    assert doubts_of_objects(scene) == []
-    disabled = ["Ball is disabled in renders: no picture will show it"]
-    ball.hide_render = True
-    assert doubts_of_objects(scene) == disabled
-    ball.keyframe_insert("hide_render", frame=1)
-    assert doubts_of_objects(scene) == [], "it may be shown at another frame"
-    ball.animation_data_clear()
-    ball.hide_render, outer = False, bpy.data.collections.new("Outer")
-    scene.collection.children.link(outer)
-    outer.children.link(home)
-    outer.hide_render = True
-    assert doubts_of_objects(scene) == [], "the scene shows the collection by itself as well"
-    scene.collection.children.unlink(home)
-    assert doubts_of_objects(scene) == disabled
-    tiny_scenes.box(scene, "Vase", (0, 0, 1), (0.1, 0.1, 0.1), collection=home)
-    assert doubts_of_objects(scene) == ["Ball and 1 more are disabled in renders: no picture will show them"]
-
-
-def test_a_virtual_curve_without_a_surface_is_doubted():
-    scene = tiny_scenes.room_with_a_virtual_sphere()
-    curve = bpy.data.curves.new("Wire", "CURVE")
-    curve.splines.new("POLY").points.add(3)
-    item = tiny_scenes.add(scene, "Wire", curve, collection=virtual_collection(scene))
-    profile = tiny_scenes.add(scene, "Profile", bpy.data.curves.new("Profile", "CURVE"))
-    bare = ["Wire has no surface, only a curve: give it a bevel, an extrusion or a fill"]
-    assert doubts_of_objects(scene) == bare
-    for name, value, otherwise in (("bevel_depth", 0.1, 0), ("extrude", 0.1, 0), ("bevel_object", profile, None)):
-        setattr(curve, name, value)
-        assert doubts_of_objects(scene) == [], name
-        setattr(curve, name, otherwise)
-    curve.splines[0].use_cyclic_u = True
-    assert doubts_of_objects(scene) == bare, "what is filled is flat"
-    curve.dimensions, curve.fill_mode = "2D", "BOTH"
-    assert doubts_of_objects(scene) == []
-    curve.fill_mode = "NONE"
-    assert doubts_of_objects(scene) == bare
-    item.modifiers.new("Thick", "SOLIDIFY")
-    assert doubts_of_objects(scene) == []
-
-
-def test_a_virtual_object_around_the_camera_is_doubted():
-    scene = tiny_scenes.room_with_a_virtual_sphere()
-    x, y, z = scene.camera.location
-    tiny_scenes.box(scene, "Mesh_0", (x, y, z), (4, 4, 0.5), collection=virtual_collection(scene))
-    said = "Mesh_0 encloses the camera: is it the room? Only what the phone inserts is to be virtual"
-    assert doubts_of_objects(scene) == [said]
-    bpy.data.objects["Mesh_0"].location.z += 0.3
-    assert doubts_of_objects(scene) == []
-
-
-@pytest.mark.parametrize("has_denoiser", [True, False])
-def test_a_build_without_a_denoiser_is_told(monkeypatch, has_denoiser):
-    import _cycles
-
-    monkeypatch.setattr(_cycles, "with_openimagedenoise", has_denoiser)
-    said = any("no denoiser" in doubt for doubt in polls.doubts(bpy.context.scene))
-    assert said is not has_denoiser
 
 
 def test_every_panel_is_in_the_tab_in_the_order_of_the_chain():

@@ -5,7 +5,19 @@ import numpy as np
 import pytest
 from effect_scenes import ball, ball_node, bright_room, glass, mirror, mixed, shader_look, stage, state, with_ball
 from planned_effects import plan_light_transport
-from tiny_scenes import add, add_instance, add_lamp, box, empty_scene, geometry_nodes, key, material, node_of, phone
+from tiny_scenes import (
+    add,
+    add_instance,
+    add_lamp,
+    box,
+    empty_scene,
+    geometry_nodes,
+    key,
+    linked,
+    material,
+    node_of,
+    phone,
+)
 
 from xihe_blender.light_transport import cycles_settings, required_effects, transport_survey
 from xihe_blender.light_transport.enclosure import carried, rays_all_round
@@ -146,10 +158,9 @@ def test_a_material_from_a_linked_library_is_read(tmp_path):
     scene = with_ball(lambda: material("Chalk"))
     bpy.data.libraries.write(str(tmp_path / "library.blend"), {glass("Library glass")})
     bpy.data.materials.remove(bpy.data.materials["Library glass"])
-    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
-        wanted.materials = ["Library glass"]
-    bpy.data.objects["Ball"].data.materials[0] = wanted.materials[0]
-    assert wanted.materials[0].library is not None
+    (look,) = linked(tmp_path / "library.blend", "materials", "Library glass")
+    bpy.data.objects["Ball"].data.materials[0] = look
+    assert look.library is not None
     assert "'Library glass'" in plan_light_transport(scene)["transmission"].reason
 
 

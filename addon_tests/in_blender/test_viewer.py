@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from addon_runs import registered_addon
 from previs_runs import walk
-from tiny_scenes import box, empty_scene, saved
+from tiny_scenes import box, empty_scene, linked, saved
 
 from xihe_blender.addon.result_operators import viewer_of_run
 from xihe_blender.apply.datablocks import LightOf
@@ -151,9 +151,7 @@ def test_a_hidden_object_of_a_library_is_exported_beside_one_of_its_name(tmp_pat
     walk()
     library = saved(tmp_path / "library.blend")
     scene = empty_scene()
-    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
-        wanted.collections = ["Xihe Virtual"]
-    virtual = bpy.data.collections["Xihe Virtual"]
+    (virtual,) = linked(library, "collections", "Xihe Virtual")
     scene.collection.children.link(virtual)
     box(scene, "Ball", (0, 0, 0), (1, 1, 1))
     scene.view_layers[0].layer_collection.children["Xihe Virtual"].exclude = True

@@ -1,16 +1,32 @@
-"""Which objects are virtual, and where their light is estimated."""
+"""Which objects are virtual, how they become so and room again, and where their light is estimated."""
 
 import math
 
 import bpy
 import numpy as np
 import pytest
-from tiny_scenes import add, add_instance, box, empty_scene
+from tiny_scenes import (
+    add,
+    add_instance,
+    box,
+    empty_scene,
+    linked,
+    memberships,
+    phone,
+    room_with_a_virtual_sphere,
+    saved,
+)
 
 from xihe_blender.errors import UserError
 from xihe_blender.scene.estimation_positions import MAX_POSITIONS, box_cell_centres, estimation_positions
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig, sphere_mesh
-from xihe_blender.scene.virtual_objects import COLLECTION_NAME, virtual_collection, virtual_objects
+from xihe_blender.scene.virtual_objects import (
+    COLLECTION_NAME,
+    make_room,
+    make_virtual,
+    virtual_collection,
+    virtual_objects,
+)
 
 
 @pytest.fixture
@@ -71,6 +87,110 @@ def test_a_hidden_object_stays_virtual(scene):
     thing = add_box(scene, (1, 1, 1), collection=virtual_collection(scene, create=True))
     thing.hide_render = thing.hide_viewport = True
     assert virtual_objects(scene) == [thing]
+
+
+# ------------------------------------------------------------------------------------------ into the collection and out
+
+
+def test_a_virtual_object_leaves_every_collection_of_the_room_and_keeps_its_parent():
+    scene = room_with_a_virtual_sphere()
+    inner, other = bpy.data.collections.new("Inner"), bpy.data.scenes.new("Other")
+    scene.collection.children.link(inner)
+    table = bpy.data.objects["Table"]
+    vase = box(scene, "Vase", (0.2, 0, 0.2), (0.1, 0.1, 0.3), collection=inner)
+    vase.parent = table
+    scene.collection.objects.link(vase)
+    other.collection.objects.link(vase)
+    bpy.context.view_layer.update()
+    place = vase.matrix_world.copy()
+    make_virtual(scene, [vase])
+    bpy.context.view_layer.update()
+    assert {home.name for home in vase.users_collection} == {COLLECTION_NAME, "Scene Collection"}
+    assert vase.name in other.collection.objects and vase.name not in scene.collection.objects
+    assert vase.parent == table and vase.matrix_world == place
+    assert table not in virtual_objects(scene)
+
+
+def test_an_object_goes_back_into_the_collections_that_it_was_in_where_they_are_still_there():
+    scene = room_with_a_virtual_sphere()
+    homes = [bpy.data.collections.new(name) for name in ("Furniture", "Props")]
+    for home in homes:
+        scene.collection.children.link(home)
+    vase, table = box(scene, "Vase", (0, 0, 1), (0.1, 0.1, 0.1), collection=homes[0]), bpy.data.objects["Table"]
+    homes[1].objects.link(vase)
+    before = memberships()
+    for _ in range(2):
+        make_virtual(scene, [vase, table])
+        make_virtual(scene, [vase])  # Once more changes nothing.
+        assert make_room(scene, [vase, table]) == [vase, table]
+        assert memberships() == before and not list(vase.keys()) and not list(table.keys())
+    make_virtual(scene, [vase])
+    bpy.data.collections.remove(homes[0])
+    make_room(scene, [vase])
+    assert memberships()["Vase"] == ["Props"]
+    make_virtual(scene, [vase])
+    bpy.data.collections.remove(homes[1])
+    make_room(scene, [vase])
+    assert memberships()["Vase"] == ["Scene Collection"]
+
+
+def test_making_nothing_virtual_makes_no_collection(scene):
+    assert make_virtual(scene, [phone(scene, (0, 0, 1), (0, 0, 0))]) == []
+    assert scene.collection.children.keys() == []
+
+
+def furniture_of_a_library(folder, *names):
+    """An empty scene, and the collection "Furniture" with boxes of these names, linked from another file."""
+    scene = empty_scene()
+    furniture = bpy.data.collections.new("Furniture")
+    scene.collection.children.link(furniture)
+    for name in names:
+        add_box(scene, (1, 1, 1), name, collection=furniture)
+    library = saved(folder / "library.blend")
+    return empty_scene(), linked(library, "collections", "Furniture")[0]
+
+
+def test_an_object_in_a_linked_collection_says_so_and_stays(tmp_path):
+    scene, furniture = furniture_of_a_library(tmp_path, "Chair")
+    scene.collection.children.link(furniture)
+    before = memberships()
+    with pytest.raises(UserError, match="'Furniture', which is linked from another file"):
+        make_virtual(scene, [bpy.data.objects["Chair"]])
+    assert memberships() == before and len(bpy.data.collections) == 1
+
+
+def test_objects_of_a_library_override_are_made_virtual_together(tmp_path):
+    scene, furniture = furniture_of_a_library(tmp_path, "Chair", "Cushion")
+    furniture.override_hierarchy_create(scene, bpy.context.view_layer)
+    chair, cushion = (bpy.data.objects[name, None] for name in ("Chair", "Cushion"))
+    before = memberships()
+    with pytest.raises(UserError, match=r"'Furniture' overrides one of another file.*: select 'Cushion' too"):
+        make_virtual(scene, [chair])
+    assert memberships() == before
+    assert make_virtual(scene, [chair, cushion]) == [chair, cushion] == virtual_objects(scene)
+    assert memberships() == before and scene.collection.children.keys() == [COLLECTION_NAME]
+    assert make_room(scene, [chair, cushion]) == [chair, cushion]
+    assert memberships() == before and virtual_objects(scene) == []
+
+
+def test_nothing_goes_into_or_out_of_a_collection_of_virtual_objects_that_is_an_override(scene, tmp_path):
+    add_box(scene, (1, 1, 1), "Ball", collection=virtual_collection(scene, create=True))
+    library = saved(tmp_path / "library.blend")
+    scene = empty_scene()
+    (virtual,) = linked(library, "collections", COLLECTION_NAME)
+    virtual.override_hierarchy_create(scene, bpy.context.view_layer)
+    add_box(scene, (1, 1, 1), "Cup")
+    cup, ball = (bpy.data.objects[name, None] for name in ("Cup", "Ball"))
+    before = memberships()
+    for move, item in ((make_virtual, cup), (make_room, ball)):
+        with pytest.raises(UserError, match=f"'{COLLECTION_NAME}' overrides one of another file.*Make Local"):
+            move(scene, [item])
+    assert memberships() == before
+    bpy.data.collections[COLLECTION_NAME, None].make_local(clear_liboverride=True)
+    assert make_virtual(scene, [cup]) == [cup] and make_room(scene, [ball]) == [ball]
+
+
+# --------------------------------------------------------------------------------------------- where light is estimated
 
 
 def test_a_small_object_has_the_centre_of_its_box(scene):

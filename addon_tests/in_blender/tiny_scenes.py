@@ -184,3 +184,15 @@ def opened(path):
     """The scene of the file at `path`, which is opened."""
     bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
     return bpy.context.scene
+
+
+def linked(library, kind, *names):
+    """The data-blocks of these names, linked from the file `library`; `kind` is as of bpy.data, such as "worlds"."""
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        setattr(wanted, kind, list(names))
+    return getattr(wanted, kind)
+
+
+def memberships():
+    """The names of each object's collections."""
+    return {item.name: sorted(home.name for home in item.users_collection) for item in bpy.data.objects}

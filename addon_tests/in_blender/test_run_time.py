@@ -1,0 +1,37 @@
+"""How long a run will take: measured on a few renders, in proportion to its frames, and said in one sentence."""
+
+from dataclasses import replace
+
+import bpy
+import pytest
+from previs_runs import SMALL, walk
+from scene_snapshot import differences, snapshot
+
+from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, run_time_job
+
+
+@pytest.mark.slow
+def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene():
+    scene = walk()
+    bpy.context.view_layer.update()
+    before = snapshot()
+    few, many = (
+        run_blocking(run_time_job(scene, replace(SMALL, frames=frames))) for frames in ((1, 2), (1, 2, 3, 4, 5))
+    )
+    assert all(0 < n < many.renders[kind][0] for kind, (n, _) in few.renders.items()) and len(few.renders) == 3
+    assert few.total_s > 0
+    assert differences(before, snapshot()) == ({}, [])
+
+
+def test_a_run_of_more_frames_takes_longer_in_proportion():
+    of_each = {"capture": (3, RenderTime(0.1, 0.01, 10)), "comparison": (2, RenderTime(1.0, 0.5, 8))}
+    one = RunTime(2.0, of_each)
+    assert one.total_s == pytest.approx(2 + 3 * 0.2 + 2 * 5)
+    double = replace(one, renders={kind: (2 * n, time) for kind, (n, time) in of_each.items()})
+    assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(0.3, "5 s"), (170, "3 min"), (5000, "1 h 20 min")])
+def test_the_time_is_said_in_round_numbers(seconds, words):
+    assert format_run_time(seconds) == f"about {words} on this machine"
