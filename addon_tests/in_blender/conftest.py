@@ -1,6 +1,7 @@
 """What files of tests share."""
 
 import pytest
+from addon_runs import lit_walk, registered_addon
 from previs_runs import IPAD, QuickPrevis, finished_run
 from tiny_scenes import room_with_a_virtual_sphere, saved
 
@@ -33,6 +34,19 @@ def finished(tmp_path_factory):
 def ipad(tmp_path_factory):
     """The same with the phone of `IPAD`; nothing may change its folder."""
     return finished_run(tmp_path_factory.mktemp("ipad") / "out", IPAD)
+
+
+@pytest.fixture(scope="module")
+def addon():
+    """The add-on is registered while the tests of a file run."""
+    with registered_addon():
+        yield
+
+
+@pytest.fixture(scope="module")
+def lit_run(finished, addon, tmp_path_factory):
+    """The folder of a copy of `finished`, with `after.blend` that shows its light; for a registered add-on."""
+    return lit_walk(tmp_path_factory.mktemp("lit") / "out", finished=finished)
 
 
 @pytest.fixture(scope="session")

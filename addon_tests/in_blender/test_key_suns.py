@@ -8,7 +8,7 @@ import pytest
 from addon_runs import lit_walk, registered_addon
 from effect_scenes import shader_look
 from previs_runs import DRAFT, QuickProbes
-from renders import pixels_of_file, rendered
+from renders import pixels_of_file, rendered_picture, rendered_sphere
 from shown_lights import keyed
 from tiny_scenes import box, empty_scene, material, opened, orthographic, phone, sphere
 
@@ -67,17 +67,12 @@ def test_a_white_sphere_is_as_bright_as_key_light_and_rest_make_it(direction, ra
     light = ObjectLight(FLAT + sh_of_key_light(key), key)
     scene = empty_scene()
     sphere(scene, "White", (0, 0, 0), 1.0, material("White", (1.0, 1.0, 1.0)))
-    world_from_camera = orthographic(scene, 2.2)
     scene.world = make_sh_world("Xihe White")
     apply_sh_to_world(scene.world, rest_of(light), exposure)
     sun = make_key_sun("Xihe Key Light White")
     scene.collection.objects.link(sun)
     apply_key_to_sun(sun, key, exposure)
-    x = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * 2.2
-    right, up = np.meshgrid(x, -x)
-    inside = right**2 + up**2 < 0.85
-    in_camera = np.stack([right, up, np.sqrt(np.clip(1 - right**2 - up**2, 0, 1))], axis=-1)[inside]
-    shown, normals = rendered(scene, (SIDE, SIDE), 64)[inside], in_camera @ world_from_camera.T
+    shown, normals = rendered_sphere(scene, 64)
     cosine = normals @ key.direction
     is_whole = cosine > np.sin(radius) + 0.05
     expected = (sh.irradiance(rest_of(light), normals) + np.clip(cosine, 0, 1)[:, None] * key.irradiance) / np.pi
@@ -289,10 +284,7 @@ def test_the_lit_scene_shows_the_shadows_of_the_comparison(ran, tmp_path):
     lit.render.resolution_x, lit.render.resolution_y = results.settings.size
     lit.cycles.samples = 64
     lit.frame_set(frame)
-    lit.render.image_settings.file_format = "PNG"
-    lit.render.filepath = str(tmp_path / "lit.png")
-    bpy.ops.render.render(write_still=True, scene=lit.name)
-    shown = pixels_of_file(tmp_path / "lit.png")[..., :3]
+    shown = rendered_picture(lit, tmp_path)[..., :3]
     change = (estimate - captured).mean(axis=-1)
     is_shadow = (change < -0.02) & (change > -0.3)
     assert is_shadow.sum() > 5

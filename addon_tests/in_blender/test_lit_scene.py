@@ -9,7 +9,7 @@ import pytest
 from addon_runs import poll_message, registered_addon
 from mathutils import Matrix
 from previs_runs import DRAFT, N_FRAMES, QuickProbes, run, walk
-from renders import pixels_of_file
+from renders import pixels_of_file, rendered_picture
 from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed, shown_light
 from tiny_scenes import material, opened, room_with_a_virtual_sphere, saved, sphere
@@ -183,14 +183,6 @@ def test_markers_say_where_the_trigger_fired(lit_file):
 def shown(ran):
     """The lit scene of the run, its file open."""
     return show_lit(opened(ran.out / "after.blend"), ran.out, "Board")
-
-
-def rendered_picture(lit, folder, colour_mode="RGB"):
-    """The PNG that Blender renders of the current frame."""
-    lit.render.image_settings.file_format, lit.render.image_settings.color_mode = "PNG", colour_mode
-    lit.render.filepath = str(folder / "lit.png")
-    bpy.ops.render.render(write_still=True, scene=lit.name)
-    return pixels_of_file(folder / "lit.png")
 
 
 def test_rendering_it_gives_the_picture_of_the_estimate(ran, shown, tmp_path):

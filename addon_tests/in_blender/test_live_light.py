@@ -5,7 +5,6 @@ import shutil
 import bpy
 import numpy as np
 import pytest
-from addon_runs import lit_walk, registered_addon
 from previs_runs import counted_renders
 from shown_lights import keyed
 from tiny_scenes import key, opened, sphere
@@ -25,20 +24,9 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.key_light import rest_of
 
 
-@pytest.fixture(scope="module", autouse=True)
-def addon():
-    with registered_addon():
-        yield
-
-
-@pytest.fixture(scope="module")
-def ran(finished, tmp_path_factory):
-    return lit_walk(tmp_path_factory.mktemp("live") / "out", finished=finished)
-
-
 @pytest.fixture
-def scene(ran):
-    return opened(ran / "after.blend")
+def scene(lit_run):
+    return opened(lit_run / "after.blend")
 
 
 def misplaced(scene):
@@ -56,7 +44,7 @@ def test_nothing_happens_while_objects_are_where_the_run_saw_them(scene):
     assert all(np.array_equal(light, before[frame]) for frame, light in keyed(bpy.data.worlds["Xihe Ball"])[0].items())
 
 
-def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(scene, ran):
+def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(scene, lit_run):
     ball, world = bpy.data.objects["Ball"], bpy.data.worlds["Xihe Ball"]
     ball.location.x += 0.4
     bpy.context.view_layer.update()
@@ -65,7 +53,7 @@ def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(sce
         assert bpy.ops.xihe.update_light() == {"FINISHED"}
     assert renders == []
     place = named_positions(ball)
-    found = run_blocking(run_blocking(open_kept_session(ran)).find_light(place))["Ball"]
+    found = run_blocking(run_blocking(open_kept_session(lit_run)).find_light(place))["Ball"]
     lights = keyed(world)[0]
     for frame, light in found.lights.items():
         in_force = lights[max(known for known in lights if known <= frame)]
@@ -107,7 +95,7 @@ def test_an_object_that_is_put_back_has_the_light_and_the_errors_of_the_run_agai
     assert [action.name for action in bpy.data.actions if action.name.startswith("Xihe")] == []
 
 
-def test_an_object_that_is_added_is_lit_and_removed_with_the_rest(scene, ran):
+def test_an_object_that_is_added_is_lit_and_removed_with_the_rest(scene, lit_run):
     sphere(scene, "New", (0.3, 0.6, 1.2), 0.1, None, virtual_collection(scene))
     bpy.context.view_layer.update()
     assert misplaced(scene).keys() == {"New"}
@@ -152,14 +140,14 @@ def test_an_object_that_moves_along_the_path_keeps_the_light_of_the_run(scene):
     assert misplaced(scene) == {}
 
 
-def test_a_moving_object_of_the_run_is_not_followed_even_once_it_stands(scene, ran):
+def test_a_moving_object_of_the_run_is_not_followed_even_once_it_stands(scene, lit_run):
     LightOf({"Ball": (0.0, 0.0, 0.0)}, moves=True).write(bpy.data.worlds["Xihe Ball"])
     assert misplaced(scene) == {}
 
 
-def test_frames_that_are_gone_are_told_in_one_line_and_the_light_stays(scene, ran, tmp_path):
-    shutil.copytree(ran, tmp_path, dirs_exist_ok=True)
-    for frame in read_results(ran).captured_frames:
+def test_frames_that_are_gone_are_told_in_one_line_and_the_light_stays(scene, lit_run, tmp_path):
+    shutil.copytree(lit_run, tmp_path, dirs_exist_ok=True)
+    for frame in read_results(lit_run).captured_frames:
         RunOutputs(tmp_path).capture(frame.frame).unlink()
     scene.xihe.run_folder = str(tmp_path)
     bpy.data.objects["Ball"].location.x += 0.4
@@ -170,19 +158,19 @@ def test_frames_that_are_gone_are_told_in_one_line_and_the_light_stays(scene, ra
     assert keyed(bpy.data.worlds["Xihe Ball"])[0].keys() == before.keys()
 
 
-def test_apply_brings_back_the_light_of_the_run(scene, ran):
+def test_apply_brings_back_the_light_of_the_run(scene, lit_run):
     bpy.data.objects["Ball"].location.x += 0.4
     bpy.context.view_layer.update()
     bpy.ops.xihe.update_light()
-    apply_results(scene, ran)
+    apply_results(scene, lit_run)
     assert not LightOf.read(bpy.data.worlds["Xihe Ball"]).live
     assert misplaced(scene).keys() == {"Ball"}
 
 
-def test_a_render_begins_when_the_thread_that_finds_light_has_ended(scene, ran, monkeypatch):
+def test_a_render_begins_when_the_thread_that_finds_light_has_ended(scene, lit_run, monkeypatch):
     bpy.data.objects["Ball"].location.x += 0.4
     bpy.context.view_layer.update()
-    task, alive = live_light.Task(ran, misplaced(scene)), []
+    task, alive = live_light.Task(lit_run, misplaced(scene)), []
     monkeypatch.setattr(live_light, "_task", task)
     handlers = bpy.app.handlers.render_init
     ours = [called for listed, called in live_light._handlers() if listed is handlers]

@@ -2,7 +2,6 @@
 
 import bpy
 import pytest
-from addon_runs import lit_walk, registered_addon
 from previs_runs import counted_renders
 from tiny_scenes import opened
 
@@ -13,41 +12,30 @@ from xihe_blender.previs.better_path import looks_of_run
 from xihe_blender.scene.estimation_positions import named_positions
 
 
-@pytest.fixture(scope="module", autouse=True)
-def addon():
-    with registered_addon():
-        yield
-
-
-@pytest.fixture(scope="module")
-def ran(finished, tmp_path_factory):
-    return lit_walk(tmp_path_factory.mktemp("look") / "out", finished=finished)
-
-
 @pytest.fixture
-def scene(ran):
-    return opened(ran / "after.blend")
+def scene(lit_run):
+    return opened(lit_run / "after.blend")
 
 
-def test_the_panel_says_what_the_function_says_without_a_render(scene, ran):
+def test_the_panel_says_what_the_function_says_without_a_render(scene, lit_run):
     bpy.context.view_layer.objects.active = bpy.data.objects["Ball"]
     with counted_renders() as renders:
         assert bpy.ops.xihe.look_where() == {"FINISHED"}
     places = list(named_positions(bpy.data.objects["Ball"], bpy.context.evaluated_depsgraph_get()).values())
-    (advice,) = run_blocking(looks_of_run(ran, {"Ball": places}))
+    (advice,) = run_blocking(looks_of_run(lit_run, {"Ball": places}))
     (row,) = advice_for(bpy.context)
     assert renders == [] and row.sentence == advice.sentence and row.frame == advice.look.frame
     assert tuple(row.direction) == pytest.approx(advice.look.direction, abs=1e-6)
 
 
-def test_asking_again_replaces_the_advice_and_another_file_forgets_it(scene, ran):
+def test_asking_again_replaces_the_advice_and_another_file_forgets_it(scene, lit_run):
     for _ in range(2):
         bpy.ops.xihe.look_where()
     names = [row.name for row in advice_for(bpy.context)]
     assert "Ball" in names and len(names) == len(set(names)) == len(bpy.context.window_manager.xihe.looks)
-    scene.xihe.run_folder = str(ran / "another")
+    scene.xihe.run_folder = str(lit_run / "another")
     assert advice_for(bpy.context) == []
-    bpy.ops.wm.open_mainfile(filepath=str(ran / "after.blend"), load_ui=False)
+    bpy.ops.wm.open_mainfile(filepath=str(lit_run / "after.blend"), load_ui=False)
     assert len(bpy.context.window_manager.xihe.looks) == 0
 
 

@@ -7,7 +7,6 @@ from functools import partial
 import bpy
 import numpy as np
 import pytest
-from addon_runs import registered_addon
 from previs_runs import CAPTURED, counted_renders, run, walk
 from scene_snapshot import differences, snapshot
 from tiny_scenes import opened, saved
@@ -24,13 +23,7 @@ from xihe_blender.io.placement_results import Place, error_range
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.placement import PlacementSettings, placement
 
-
-@pytest.fixture(scope="module", autouse=True)
-def addon():
-    with registered_addon():
-        yield
-
-
+pytestmark = pytest.mark.usefixtures("addon")
 FEW = PlacementSettings(most=20)
 """Places: what is asked here is not how fine a map is."""
 
@@ -43,7 +36,7 @@ def few_places():
 
 
 @pytest.fixture(scope="module")
-def ran(tmp_path_factory):
+def ran(addon, tmp_path_factory):
     """The folder of a run, and beside it the file as it was then."""
     out = tmp_path_factory.mktemp("map") / "out"
     scene = walk()

@@ -5,6 +5,7 @@ from functools import partial
 import bpy
 import numpy as np
 import pytest
+from effect_scenes import shader_look
 from renders import rendered
 from tiny_scenes import empty_scene, material, orthographic, sphere
 
@@ -44,15 +45,7 @@ def mirror():
 
 
 def metal(roughness):
-    made = bpy.data.materials.new("Mirror")
-    if made.node_tree is None:
-        made.use_nodes = True
-    tree = made.node_tree
-    tree.nodes.clear()
-    shader = tree.nodes.new("ShaderNodeBsdfGlossy")
-    shader.inputs["Color"].default_value, shader.inputs["Roughness"].default_value = (1, 1, 1, 1), roughness
-    tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
-    return made
+    return shader_look("Metal", "BsdfGlossy", Color=(1, 1, 1, 1), Roughness=roughness)
 
 
 def coloured_panorama():

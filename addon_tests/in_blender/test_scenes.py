@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
-from renders import pixels_of_file
+from renders import rendered_picture
 
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
@@ -151,10 +151,7 @@ def test_the_phone_never_comes_close_to_anything(scene):
 def test_a_tiny_render_is_neither_black_nor_blank(scene, tmp_path):
     scene.frame_set(18)
     scene.render.resolution_x, scene.render.resolution_y, scene.cycles.samples = 32, 24, 4
-    scene.render.image_settings.file_format = "PNG"
-    scene.render.filepath = str(tmp_path / "tiny.png")
-    bpy.ops.render.render(write_still=True)
-    pixels = pixels_of_file(scene.render.filepath)[..., :3]
+    pixels = rendered_picture(scene, tmp_path)[..., :3]
     assert 0.05 < pixels.mean() < 0.8
     assert pixels.std() > 0.03
 
