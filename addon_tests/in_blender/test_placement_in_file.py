@@ -115,12 +115,6 @@ def test_a_place_from_the_lists_gets_the_cursor(scene):
         bpy.ops.xihe.go_to_place(index=10**6)
 
 
-def test_without_a_run_the_button_says_what_to_do(scene):
-    scene.xihe.run_folder = ""
-    with pytest.raises(RuntimeError, match="poll"):
-        bpy.ops.xihe.map_places()
-
-
 # ------------------------------------------------------------------------------------------------------- places by hand
 
 PLACES = [

@@ -31,6 +31,12 @@ def asked(port, method, path, body=b"", **headers):
         return response.status, json.loads(text) if is_json else text.decode(), response.headers
 
 
+def free_port():
+    """A port of this machine at which nobody listens."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return free.getsockname()[1]
+
+
 @contextlib.contextmanager
 def serving(*options, stderr=subprocess.PIPE, host=r"127\.0\.0\.1"):
     """The process of `xihe serve`, and its port; `host` is how it says where it listens."""

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xihenet.records import Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, Intrinsics, RgbdFrame, UnitSphereCloud
 
 UPRIGHT = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
 """The axes of a camera that looks along +Y with +Z up in its picture."""
@@ -50,6 +50,12 @@ def random_cloud(rng, n, share=0.5):
     """Random colours at 0 to 5 m in a random `share` of `n` anchors."""
     is_set = rng.random(n) < share
     return UnitSphereCloud(rng.random((n, 3)) * is_set[:, None], rng.uniform(0, 5, n) * is_set, is_set)
+
+
+def with_facing(cloud, rng):
+    """The cloud, its surfaces facing anywhere."""
+    surfaces = AnchorSurfaces.of_facing(rng.uniform(-1, 1, len(cloud)))
+    return UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=surfaces)
 
 
 def without_surfaces(cloud):

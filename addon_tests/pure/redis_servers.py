@@ -1,17 +1,17 @@
 """A Redis of the tests' own, on a free port of this machine, that can be killed and started again."""
 
 import signal
-import socket
 import subprocess
 import time
+
+from addon_tests.pure.edge_servers import free_port
 
 
 class RedisServer:
     """Keeps an append-only file in `folder`. A machine without redis-server fails the tests: none are skipped."""
 
     def __init__(self, folder):
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         self.folder, self.url, self._process = folder, f"redis://127.0.0.1:{self.port}/0", None
 
     def start(self):

@@ -6,11 +6,11 @@ import threading
 import numpy as np
 import pytest
 
-from addon_tests.pure.made import frame_of, random_cloud
+from addon_tests.pure.made import frame_of, random_cloud, with_facing
 from xihenet import estimators
 from xihenet.edge.batching import STEPS_TO_QUEUE, UNSERVED, Batcher, Inference, Job, Light, QueueFull, estimate_together
 from xihenet.estimators.base import EstimateContext, NotFinite
-from xihenet.records import AnchorSurfaces, UnitSphereCloud
+from xihenet.records import UnitSphereCloud
 
 N = 512
 
@@ -20,17 +20,12 @@ def inference():
     return Inference("lattice")
 
 
-def facing_cloud(rng):
-    cloud = random_cloud(rng, N)
-    return UnitSphereCloud(
-        cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=AnchorSurfaces.of_facing(rng.uniform(-1, 1, N))
-    )
-
-
 def test_a_batch_of_all_kinds_gives_what_each_has_alone(inference):
     rng = np.random.default_rng(0)
     jobs = [Job(random_cloud(rng, N), target) for target in ("ldr", "hdr", "ldr", "hdr")]
-    jobs += [Job(facing_cloud(rng), "ldr") for _ in range(3)] + [Job(random_cloud(rng, 768), "ldr")]
+    jobs += [Job(with_facing(random_cloud(rng, N), rng), "ldr") for _ in range(3)] + [
+        Job(random_cloud(rng, 768), "ldr")
+    ]
     jobs += [Job(random_cloud(rng, N, 0.01), "ldr", np.array([0.3, 0.2, 0.1])) for _ in range(2)]
     jobs.append(Job(UnitSphereCloud.empty(N), "ldr"))
     together, alone = inference(jobs), [inference([job])[0] for job in jobs]
@@ -135,20 +130,6 @@ def test_in_the_event_loop_itself_what_has_arrived_is_one_batch():
     assert batches == [12, 16, 4]
 
 
-def test_a_fault_in_the_event_loop_itself_reaches_those_who_wait_alone():
-    def broken(jobs):
-        raise RuntimeError("a fault of ours")
-
-    async def run():
-        batcher = Batcher(broken, in_thread=False)
-        for _ in range(2):
-            with pytest.raises(RuntimeError, match="a fault of ours"):
-                await batcher.estimate(job(0))
-        await batcher.close()
-
-    asyncio.run(run())
-
-
 def test_what_is_slow_has_a_thread_of_its_own(inference):
     assert inference.is_quick and not Inference("xihenet").is_quick
 
@@ -171,14 +152,15 @@ def test_a_full_queue_refuses_at_once_and_recovers():
     asyncio.run(run())
 
 
-def test_a_fault_reaches_those_who_wait_and_the_queue_goes_on():
+@pytest.mark.parametrize("in_thread", [True, False])
+def test_a_fault_reaches_those_who_wait_and_the_queue_goes_on(in_thread):
     def broken(jobs):
         if jobs[0].ambient[0] == 0:
             raise RuntimeError("a fault of ours")
         return [Light(np.zeros((9, 3))) for _ in jobs]
 
     async def run():
-        batcher = Batcher(broken)
+        batcher = Batcher(broken, in_thread=in_thread)
         with pytest.raises(RuntimeError, match="a fault of ours"):
             await batcher.estimate(job(0))
         assert (await batcher.estimate(job(1))).batch_size == 1

@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from addon_tests.pure.made import frame_of
+from addon_tests.pure.made import constant, frame_of
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext
@@ -20,12 +20,6 @@ RADIANCE = np.array([0.2, 0.5, 0.8])
 def constant_cloud(is_set, radiance=RADIANCE):
     is_set = np.broadcast_to(is_set, N)
     return UnitSphereCloud(linear_to_srgb(radiance) * is_set[:, None], 2.0 * is_set, is_set)
-
-
-def constant_sh(radiance):
-    coefficients = np.zeros((9, 3))
-    coefficients[0] = 2 * np.sqrt(np.pi) * np.asarray(radiance)
-    return coefficients
 
 
 def frame(ambient, exposure=1.0):
@@ -46,7 +40,7 @@ def test_every_estimator_gives_finite_light_of_whatever_was_seen_and_the_same_in
     estimator, half = estimators.load(name, N, target), LATTICE.directions[:, 2] > 0
     clouds = [constant_cloud(True), constant_cloud(half), UnitSphereCloud.empty(N)]
     points = PointCloud(np.float32(2.0 * LATTICE.directions), clouds[0].srgb)
-    context = EstimateContext(frame([0.1, 0.2, 0.3]), points, np.zeros(3), constant_sh(RADIANCE), 1.0)
+    context = EstimateContext(frame([0.1, 0.2, 0.3]), points, np.zeros(3), constant(RADIANCE), 1.0)
     for cloud in clouds:
         light = estimator.estimate(cloud, context)
         assert light.shape == (9, 3) and np.isfinite(light).all()
@@ -76,10 +70,10 @@ def test_options_that_make_no_sense_are_refused(wrong):
 def test_ambient_takes_the_sensor_and_the_sessions_exposure():
     context = EstimateContext(frame=frame([0.1, 0.2, 0.3], exposure=2.0))
     estimate = estimators.load("ambient", N).estimate(constant_cloud(True), context)
-    np.testing.assert_allclose(estimate, constant_sh([0.2, 0.4, 0.6]))
+    np.testing.assert_allclose(estimate, constant([0.2, 0.4, 0.6]))
     context = EstimateContext(frame=frame([0.1, 0.2, 0.3], exposure=2.0), reference_exposure=1.0)
     np.testing.assert_allclose(
-        estimators.load("ambient", N).estimate(constant_cloud(True), context), constant_sh([0.1, 0.2, 0.3])
+        estimators.load("ambient", N).estimate(constant_cloud(True), context), constant([0.1, 0.2, 0.3])
     )
 
 
@@ -87,7 +81,7 @@ def test_ambient_without_a_frame_takes_the_mean_of_the_set_anchors_in_linear_lig
     half = LATTICE.directions[:, 0] > 0
     colours = np.where(half[:, None], linear_to_srgb(0.9), linear_to_srgb(0.1)) * np.ones(3)
     cloud = UnitSphereCloud(colours, np.ones(N), np.ones(N, bool))
-    expected = constant_sh(np.full(3, 0.1 + 0.8 * half.mean()))
+    expected = constant(np.full(3, 0.1 + 0.8 * half.mean()))
     np.testing.assert_allclose(estimators.load("ambient", N).estimate(cloud), expected, rtol=1e-6)
 
 
@@ -95,7 +89,7 @@ def test_ambient_is_clipped_at_white_for_ldr_alone():
     context = EstimateContext(frame=frame([0.5, 2.0, 7.0]))
     for target, expected in (("ldr", [0.5, 1.0, 1.0]), ("hdr", [0.5, 2.0, 7.0])):
         estimate = estimators.load("ambient", N, target).estimate(UnitSphereCloud.empty(N), context)
-        np.testing.assert_allclose(estimate, constant_sh(expected))
+        np.testing.assert_allclose(estimate, constant(expected))
 
 
 def test_truth_without_its_probe_is_refused():
@@ -104,7 +98,7 @@ def test_truth_without_its_probe_is_refused():
 
 
 def test_truth_hands_on_the_probe_and_a_result_that_is_not_finite_never_leaves_an_estimator():
-    probe = EstimateContext(truth_sh=constant_sh(RADIANCE))
+    probe = EstimateContext(truth_sh=constant(RADIANCE))
     np.testing.assert_array_equal(estimators.load("truth", N).estimate(constant_cloud(True), probe), probe.truth_sh)
     context = EstimateContext(truth_sh=np.full((9, 3), np.nan))
     with pytest.raises(ValueError, match="not nine finite triples"):

@@ -3,20 +3,18 @@
 import numpy as np
 import pytest
 
-from addon_tests.pure.made import random_cloud
+from addon_tests.pure.made import random_cloud, with_facing
 from xihe_blender.cli.main import main
 from xihenet import estimators
 from xihenet.edge.batching import Inference, Job
 from xihenet.edge.torch_networks import put_on
-from xihenet.records import AnchorSurfaces, UnitSphereCloud
+from xihenet.records import UnitSphereCloud
 
 
 def clouds(rng, n=512):
     for share in (0.02, 0.5, 1.0):
         cloud = random_cloud(rng, n, share)
-        yield cloud
-        surfaces = AnchorSurfaces.of_facing(rng.uniform(-1, 1, n))
-        yield UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=surfaces)
+        yield from (cloud, with_facing(cloud, rng))
 
 
 @pytest.mark.parametrize(("name", "target"), [("lattice", "ldr"), ("lattice", "hdr"), ("xihenet", "ldr")])
