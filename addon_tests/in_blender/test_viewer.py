@@ -54,9 +54,7 @@ def test_frames_have_what_the_phone_saw_and_where_it_was(done):
     outputs = RunOutputs(folder, "")
     assert [frame["frame"] for frame in data["frames"]] == [frame.frame for frame in results.captured_frames]
     for frame in data["frames"]:
-        seen = load_frame(outputs.capture(frame["frame"])) if outputs.capture(frame["frame"]).exists() else None
-        if seen is None:
-            continue
+        seen = load_frame(outputs.capture(frame["frame"]))
         matrix = np.array(frame["camera"]["matrix"]).reshape(4, 4).T
         np.testing.assert_allclose(matrix[:3, 3], Y_UP @ seen.world_from_camera[:3, 3], atol=1e-5)
         depth_mm = np.frombuffer(zlib.decompress(base64.b64decode(data["depths"][frame["depth"]])), "<u2")
@@ -216,9 +214,7 @@ def test_an_object_that_was_moved_is_exported_with_the_light_of_its_new_place(do
         key_light_changes(world, {1: moved}, 1.0)
         assert bpy.ops.xihe.export_light(target="three") == {"FINISHED"}
     ball = next(one for one in lights(folder / "exports" / "three") if one["object"] == "Ball")
-    sun = None if ball["mainLight"] is None else ball["mainLight"]["intensity"]
     np.testing.assert_allclose(np.reshape(ball["sh"], (9, 3))[0], (0.3, 0.2, 0.1), atol=1e-5)
-    assert sun is None or sun > 0
 
 
 @pytest.mark.parametrize(
