@@ -16,6 +16,7 @@ from previs_runs import counted_renders
 from results_schema import SCHEMA
 from tiny_scenes import box, empty_scene
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, looking, seen, walk
 from xihe_blender.addon.panels import result_rows
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit, show_results
@@ -576,10 +577,8 @@ def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd, monkeypat
     monkeypatch.setattr(SCAN, FEW_FACES)
     assert main(["import", str(recording), "--out", str(blend)]) == 0
     assert "Imported 4 frames" in capfd.readouterr().out
-    assert main(["import", str(recording), "--out", str(blend)]) == 2
-    assert "is there already" in capfd.readouterr().err
-    assert main(["import", str(tmp_path), "--out", str(tmp_path / "other.blend")]) == 2
-    assert "holds no recording that is known" in capfd.readouterr().err
+    assert_refused(xihe_here("import", recording, "--out", blend), "is there already")
+    assert_refused(xihe_here("import", tmp_path, "--out", tmp_path / "other.blend"), "holds no recording that is known")
     assert not (tmp_path / "other.blend").exists()
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     scene = bpy.context.scene
@@ -591,8 +590,7 @@ def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd, monkeypat
     assert main(["previs", str(blend), "--out", str(tmp_path / "out"), "--preset", "draft"]) == 0
     assert "4 frames" in capfd.readouterr().out
     assert (tmp_path / "out" / "composited.mp4").exists()
-    assert main(["video", str(tmp_path / "out")]) == 2
-    assert "composited.mp4" in capfd.readouterr().err
+    assert_refused(xihe_here("video", tmp_path / "out"), "composited.mp4")
 
 
 @pytest.mark.slow

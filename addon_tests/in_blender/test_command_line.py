@@ -13,8 +13,9 @@ import pytest
 from previs_runs import N_FRAMES, QuickProbes, files_below, unfinished_files, walk
 from results_schema import check_results, read_strictly, without_times
 from tiny_scenes import saved
-from xihe_process import ROOT, assert_refused, said, typed, xihe, xihe_here
+from xihe_process import ROOT, said, typed, xihe
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from xihenet import __version__
 
 DRAFT = ("--preset", "draft", "--size", "32x24", "--samples", "2", "--exposure", "1")

@@ -12,8 +12,8 @@ from planned_effects import plan_light_transport
 from previs_runs import SMALL, run
 from scene_snapshot import differences, snapshot
 from tiny_scenes import room_with_a_virtual_sphere, saved
-from xihe_process import xihe_here
 
+from addon_tests.pure.commands import xihe_here
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.errors import UserError

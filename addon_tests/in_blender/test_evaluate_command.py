@@ -7,8 +7,9 @@ import bpy
 import pytest
 from jsonschema import Draft202012Validator
 from tiny_scenes import room_with_a_virtual_sphere, saved
-from xihe_process import assert_refused, xihe, xihe_here
+from xihe_process import xihe
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.io.json_records import from_json
 from xihe_blender.lab.batch.results import BatchResults, batch_schema
 

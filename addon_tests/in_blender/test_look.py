@@ -12,11 +12,11 @@ from previs_runs import CAPTURED, counted_renders, files_below, unfinished_files
 from scene_snapshot import differences, snapshot
 from tiny_scenes import opened
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera, has_anything
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.capture.turned_camera import turned_camera
-from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.look_results import LookResults
@@ -185,10 +185,10 @@ def test_a_camera_file_must_be_another_blend(tmp_path):
         check_camera_file(tmp_path / "room.blend", tmp_path / "room.blend")
 
 
-def test_a_look_is_for_objects_or_for_the_map(room_file, tmp_path, capsys):
-    command = ["look", str(room_file), "--map", "--objects", "Ball", "--out", str(tmp_path / "out")]
-    assert main(command) == 2 and not (tmp_path / "out").exists()
-    assert "give either --objects, or --map" in capsys.readouterr().err
+def test_a_look_is_for_objects_or_for_the_map(room_file, tmp_path):
+    asked = xihe_here("look", room_file, "--map", "--objects", "Ball", "--out", tmp_path / "out")
+    assert_refused(asked, "give either --objects, or --map")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_look_takes_at_least_a_frame_each_way(away):

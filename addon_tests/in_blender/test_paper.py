@@ -13,8 +13,8 @@ import previs_runs
 import pytest
 from tiny_scenes import saved
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.capture.scanner import phone_camera
-from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.paper import run as paper
@@ -140,10 +140,8 @@ def test_studies_have_names_of_their_own_in_the_order_of_the_paper():
         (["--seed", "-1"], "--seed -1"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, capfd, typed, said):
-    assert main(["paper", "--out", str(tmp_path / "out"), *typed]) == 2
-    error = capfd.readouterr().err
-    assert said in error and error.count("\n") == 1
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, typed, said):
+    assert_refused(xihe_here("paper", "--out", tmp_path / "out", *typed), said)
     assert not (tmp_path / "out").exists()
 
 

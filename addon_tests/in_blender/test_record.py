@@ -10,6 +10,7 @@ from previs_runs import IPAD, LOOKS_AWAY, N_FRAMES, SMALL, counted_renders, unfi
 from results_schema import read_strictly
 from tiny_scenes import empty_scene, phone, room_with_a_virtual_sphere, saved, set_world
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.capture.three_spheres import open_three_spheres
 from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
@@ -155,7 +156,5 @@ def test_the_command_records_and_says_what_it_left(tmp_path, capfd, small_light_
     typed = ["record", str(room), "--out", str(tmp_path / "out"), "--size", "32x24", "--samples", "1"]
     assert main(typed) == 0
     assert "2 frames in" in capfd.readouterr().out
-    assert main([*typed, "--at", "0,0,1"]) == 2
-    assert "give --truth as well" in capfd.readouterr().err
-    assert main([*typed, "--seed", "3"]) == 2
-    assert "holds a recording with another seed" in capfd.readouterr().err
+    assert_refused(xihe_here(*typed, "--at", "0,0,1"), "give --truth as well")
+    assert_refused(xihe_here(*typed, "--seed", "3"), "holds a recording with another seed")

@@ -16,6 +16,7 @@ from addon_runs import registered_addon
 from previs_runs import walk
 from tiny_scenes import box, empty_scene, linked, saved
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.addon.result_operators import viewer_of_run
 from xihe_blender.apply.datablocks import LightOf
 from xihe_blender.apply.sh_worlds import applied_worlds, key_light_changes
@@ -96,22 +97,18 @@ def test_objects_are_gltf_and_stay_where_they_are(done):
         (("--from", "nowhere.blend"), "there is no nowhere.blend"),
     ],
 )
-def test_what_cannot_be_shown_is_one_line(done, tmp_path, capfd, arguments, words):
-    folder, _ = done
-    assert main(["export", str(folder), "--to", "viewer", "--out", str(tmp_path), *arguments]) == 2
-    said = capfd.readouterr().err
-    assert words in said and said.count("\n") == 1 and not list(tmp_path.iterdir())
+def test_what_cannot_be_shown_is_one_line(done, tmp_path, arguments, words):
+    assert_refused(xihe_here("export", done[0], "--to", "viewer", "--out", tmp_path, *arguments), words)
+    assert not list(tmp_path.iterdir())
 
 
-def test_lost_captures_and_too_many_triangles_are_one_line(done, tmp_path, capfd, monkeypatch):
+def test_lost_captures_and_too_many_triangles_are_one_line(done, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     shutil.copytree(done[0], folder)
     monkeypatch.setattr("xihe_blender.viewer.gltf.MOST_TRIANGLES", 10)
-    assert main(["export", str(folder), "--to", "viewer"]) == 2
-    assert "triangles" in capfd.readouterr().err
+    assert_refused(xihe_here("export", folder, "--to", "viewer"), "triangles")
     shutil.rmtree(folder / "work")
-    assert main(["export", str(folder), "--to", "viewer"]) == 2
-    assert "is gone: run xihe previs again" in capfd.readouterr().err
+    assert_refused(xihe_here("export", folder, "--to", "viewer"), "is gone: run xihe previs again")
 
 
 def material_of(glb):
@@ -226,9 +223,8 @@ def test_an_object_that_was_moved_is_exported_with_the_light_of_its_new_place(do
         (("--from", "LIT", "--light", "sh"), "leave out --light"),
     ],
 )
-def test_what_a_file_does_not_have_is_one_line(done, tmp_path, capfd, arguments, words):
+def test_what_a_file_does_not_have_is_one_line(done, tmp_path, arguments, words):
     lit = str(next(done[0].glob("*_lit.blend")))
     typed = [lit if one == "LIT" else one for one in arguments]
-    assert main(["export", *typed, "--to", "three", "--out", str(tmp_path)]) == 2
-    said = capfd.readouterr().err
-    assert words in said and said.count("\n") == 1 and not list(tmp_path.iterdir())
+    assert_refused(xihe_here("export", *typed, "--to", "three", "--out", tmp_path), words)
+    assert not list(tmp_path.iterdir())

@@ -10,8 +10,8 @@ import pytest
 from scipy import ndimage, sparse
 from small_rooms import SMALL, places_of, small_build
 from tiny_scenes import add, key, light_strength, look_at, room_with_a_virtual_sphere, saved
-from xihe_process import assert_refused, xihe_here
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.capture.scanner import meter_exposure, phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking

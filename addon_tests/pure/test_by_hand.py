@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.recordings import HALF, walk
 from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
@@ -38,10 +39,9 @@ def test_nothing_by_hand_is_the_recording_itself(folder):
 
 @pytest.mark.parametrize(("typed", "said"), [("--scale=0", "positive factor"), ("--scale=nan", "positive factor"),
                                              ("--floor=inf", "a height in metres")])  # fmt: skip
-def test_what_is_no_scale_and_no_floor_is_one_line(folder, tmp_path, capfd, typed, said):
-    assert main(["replay", str(folder), "--at", "0,0,0", "--out", str(tmp_path / "out"), typed]) == 2
-    err = capfd.readouterr().err
-    assert said in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
+def test_what_is_no_scale_and_no_floor_is_one_line(folder, tmp_path, typed, said):
+    assert_refused(xihe_here("replay", folder, "--at", "0,0,0", "--out", tmp_path / "out", typed), said)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

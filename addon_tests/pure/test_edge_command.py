@@ -9,6 +9,7 @@ from contextlib import closing, suppress
 import numpy as np
 import pytest
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer, serving
 from addon_tests.pure.made import random_cloud
 from addon_tests.pure.recordings import LAYOUTS, walk
@@ -82,28 +83,27 @@ def test_a_mistake_is_one_line_that_names_the_fix(options, said, capfd):
     assert "secret" not in " ".join(error)
 
 
-def test_without_tornado_the_extra_is_named(capfd, monkeypatch):
+def test_without_tornado_the_extra_is_named(monkeypatch):
     for name in [name for name in sys.modules if name.startswith(("tornado", "xihenet.edge.server"))]:
         monkeypatch.delitem(sys.modules, name)
     for name in ("handler", "requests", "session_routes", "service_routes"):
         monkeypatch.delitem(sys.modules, f"xihenet.edge.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "tornado", None)
-    assert main(["serve"]) == 2
-    assert "pip install 'xihe-blender[edge]'" in capfd.readouterr().err
+    assert_refused(xihe_here("serve"), "pip install 'xihe-blender[edge]'")
 
 
-def test_without_redis_py_the_extra_is_named(capfd, monkeypatch):
+def test_without_redis_py_the_extra_is_named(monkeypatch):
     monkeypatch.delitem(sys.modules, "xihenet.edge.redis_store", raising=False)
     monkeypatch.setitem(sys.modules, "redis", None)
-    assert main(["serve", "--store", "redis://127.0.0.1:9/0"]) == 2
-    assert "--store needs redis-py: pip install 'xihe-blender[edge]'" in capfd.readouterr().err
+    asked = xihe_here("serve", "--store", "redis://127.0.0.1:9/0")
+    assert_refused(asked, "--store needs redis-py: pip install 'xihe-blender[edge]'")
 
 
-def test_without_torch_the_extra_is_named(capfd, monkeypatch):
+def test_without_torch_the_extra_is_named(monkeypatch):
     monkeypatch.delitem(sys.modules, "xihenet.edge.torch_networks", raising=False)
     monkeypatch.setitem(sys.modules, "torch", None)
-    assert main(["serve", "--device", "cuda"]) == 2
-    assert "--device cuda needs torch: pip install 'xihe-blender[edge,train]'" in capfd.readouterr().err
+    asked = xihe_here("serve", "--device", "cuda")
+    assert_refused(asked, "--device cuda needs torch: pip install 'xihe-blender[edge,train]'")
 
 
 def test_a_replay_over_the_service_is_the_local_one(tmp_path, capfd):
@@ -116,8 +116,8 @@ def test_a_replay_over_the_service_is_the_local_one(tmp_path, capfd):
         assert main([*ask, "--out", str(tmp_path / "there"), "--backend", url]) == 0
         assert f"note: lattice at {url}" in capfd.readouterr().err
         assert server.service.store.counts() == (0, 0)
-        assert main([*ask, "--out", str(tmp_path / "x"), "--backend", url, "--estimator", "projection"]) == 2
-        assert "give --estimator lattice" in capfd.readouterr().err
+        wrong = xihe_here(*ask, "--out", tmp_path / "x", "--backend", url, "--estimator", "projection")
+        assert_refused(wrong, "give --estimator lattice")
     here, there = (json.loads((tmp_path / name / "replay.json").read_text()) for name in ("here", "there"))
     assert here["backend"] is None and there["backend"] == url
     pairs = list(zip(here["positions"][0]["lights"], there["positions"][0]["lights"], strict=True))
@@ -125,12 +125,10 @@ def test_a_replay_over_the_service_is_the_local_one(tmp_path, capfd):
     assert all(shc_rmse(np.array(a["sh_radiance"]), np.array(b["sh_radiance"])) < 1e-3 for a, b in pairs)
 
 
-def test_a_service_that_is_not_there_is_said(tmp_path, capfd, monkeypatch):
+def test_a_service_that_is_not_there_is_said(tmp_path, monkeypatch):
     write, intrinsics = LAYOUTS["Nerfstudio"]
     write(tmp_path, walk(intrinsics, 2))
     monkeypatch.setattr("xihenet.edge.connection.time.sleep", lambda _: None)
     ask = ["replay", str(tmp_path), "--at", "0,0,0", "--out", str(tmp_path / "out")]
-    assert main([*ask, "--backend", "http://127.0.0.1:9"]) == 2
-    assert "does not answer" in capfd.readouterr().err
-    assert main([*ask, "--backend", "127.0.0.1:8550"]) == 2
-    assert "such as http://127.0.0.1:8550" in capfd.readouterr().err
+    assert_refused(xihe_here(*ask, "--backend", "http://127.0.0.1:9"), "does not answer")
+    assert_refused(xihe_here(*ask, "--backend", "127.0.0.1:8550"), "such as http://127.0.0.1:8550")

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.runs import content, frame, probe
 from addon_tests.pure.test_estimate_command import ROOT, WITHOUT_BLENDER, read_strictly
 from xihe_blender.cli.main import main
@@ -128,25 +129,20 @@ def test_reflections_are_written_turned_as_the_engine_reads_them(run):
         (("--to", "three", "--frame", "1", "--all"), "not allowed with"),
     ],
 )
-def test_what_cannot_be_written_is_one_line_and_no_file(run, capfd, arguments, words):
-    assert export(run, *arguments) == 2
-    said = capfd.readouterr()
-    assert words in said.err and said.err.count("\n") == 1 and said.out == ""
+def test_what_cannot_be_written_is_one_line_and_no_file(run, arguments, words):
+    assert_refused(xihe_here("export", run, *arguments), words)
     assert not (run / "exports").exists()
 
 
-def test_results_of_another_version_a_lost_picture_and_a_lesser_light_are_one_line(run, capfd):
+def test_results_of_another_version_a_lost_picture_and_a_lesser_light_are_one_line(run):
     (run / "seen.exr").unlink()
-    assert export(run, "--to", "three") == 2
-    assert "seen.exr cannot be read" in capfd.readouterr().err
+    assert_refused(xihe_here("export", run, "--to", "three"), "seen.exr cannot be read")
     lesser = content([frame(1, probe())], settings={"light": "sh"}, lights={"Ball": [light_from(1)]})
     (run / "results.json").write_text(json.dumps(lesser))
-    assert export(run, "--to", "three", "--light", "sh+key") == 2
-    assert "run xihe previs again with --light sh+key" in capfd.readouterr().err
+    asked = xihe_here("export", run, "--to", "three", "--light", "sh+key")
+    assert_refused(asked, "run xihe previs again with --light sh+key")
     (run / "results.json").write_text(json.dumps(lesser | {"schema_version": 0}))
-    assert export(run, "--to", "three") == 2
-    said = capfd.readouterr().err
-    assert "is not from a run of this version" in said and said.count("\n") == 1
+    assert_refused(xihe_here("export", run, "--to", "three"), "is not from a run of this version")
     assert not (run / "exports").exists()
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from addon_tests.pure.commands import assert_refused
 from xihe_blender.errors import UserError
 from xihe_blender.packaging.extension import build_extension, project_wheel
 from xihenet import __version__
@@ -26,14 +27,6 @@ SOURCES = ("xihenet", "xihe_blender", "pyproject.toml", "LICENSE")
 def xihe(*arguments, **options):
     command = [sys.executable, "-W", "error", "-m", "xihe_blender", *map(str, arguments)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100, **options)
-
-
-def assert_refused(done, *words):
-    """Exit 2, nothing on stdout, and one line on stderr with `words` in it."""
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
-    assert done.stderr.startswith("xihe: ")
-    for word in words:
-        assert word in done.stderr
 
 
 def copy_of_the_checkout(folder):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.broken_recordings import in_header
+from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.recordings import walk
 from addon_tests.pure.test_estimate_command import read_strictly
 from addon_tests.pure.test_long_captures import measured
@@ -34,8 +35,8 @@ def test_what_it_says_of_itself_comes_back_and_time_may_go_backwards(tmp_path, c
     assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 0
     assert "The lens is not known." in capfd.readouterr().err
     assert read_strictly((tmp_path / "out" / "replay.json").read_text())["reference_exposure"] == 0.5
-    assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "o"), "--up", "y"]) == 2
-    assert "leave out --up" in capfd.readouterr().err
+    again = xihe_here("replay", tmp_path / "in", "--at", "0,0,0", "--out", tmp_path / "o", "--up", "y")
+    assert_refused(again, "leave out --up")
 
 
 def test_light_carries_the_sessions_exposure_and_white_balance_is_taken_out(tmp_path):

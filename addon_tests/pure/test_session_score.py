@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, walk
 from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
@@ -85,7 +86,6 @@ def test_the_command_writes_the_table(tmp_path, capfd):
     assert [one["estimator"] for one in written] == ["ambient", *by_cloud] and "lattice" in by_cloud
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "Estimators without a true light" in page and "What the phone saw" in page and 'src="http' not in page
-    assert main(["replay", str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 2
-    assert "say where" in capfd.readouterr().err
-    assert main(["replay", str(tmp_path / "in"), "--score", "--every", "5", "--out", str(tmp_path / "out")]) == 2
-    assert "give 3 frames or more" in capfd.readouterr().err
+    again = ["replay", tmp_path / "in", "--out", tmp_path / "out"]
+    assert_refused(xihe_here(*again), "say where")
+    assert_refused(xihe_here(*again, "--score", "--every", "5"), "give 3 frames or more")

@@ -12,8 +12,8 @@ import numpy as np
 import OpenEXR
 import pytest
 from results_schema import check_results, read_strictly, without_times
-from xihe_process import assert_refused
 
+from addon_tests.pure.commands import assert_refused
 from addon_tests.real_blender.whole_blender import ROOT, SCENE, SMALL
 
 EXAMPLE = ROOT / "docs" / "previs_in_blender.py"

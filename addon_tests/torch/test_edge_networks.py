@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.made import random_cloud, with_facing
-from xihe_blender.cli.main import main
 from xihenet import estimators
 from xihenet.edge.batching import Inference, Job
 from xihenet.edge.torch_networks import put_on
@@ -37,8 +37,8 @@ def test_batches_run_there_too():
     assert all(np.allclose(one.sh_radiance, other.sh_radiance, atol=1e-4) for one, other in lights)
 
 
-def test_an_estimator_without_a_network_is_refused(capfd):
+def test_an_estimator_without_a_network_is_refused():
     with pytest.raises(ValueError, match="leave --device out"):
         put_on(estimators.load("ambient", 512), "cpu:0")
-    assert main(["serve", "--estimator", "ambient", "--device", "cuda"]) == 2
-    assert "--estimator ambient: " in (said := capfd.readouterr().err) and "leave --device out" in said
+    asked = xihe_here("serve", "--estimator", "ambient", "--device", "cuda")
+    assert_refused(asked, "--estimator ambient: ", "leave --device out")

@@ -1,0 +1,35 @@
+"""The `xihe` command in this process: its exit code and what it said, and whether that is how a mistake is refused."""
+
+import contextlib
+import os
+import re
+import subprocess
+import sys
+import tempfile
+
+from xihe_blender.cli.main import main
+
+
+def xihe_here(*arguments):
+    """Run `xihe`; in_blender/xihe_process.py has the same in a process of its own, which has to load Blender again."""
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err, contextlib.ExitStack() as stack:
+        for descriptor, file, redirect in ((1, out, contextlib.redirect_stdout), (2, err, contextlib.redirect_stderr)):
+            kept = os.dup(descriptor)
+            stack.callback(os.close, kept)
+            stack.callback(os.dup2, kept, descriptor)
+            os.dup2(file.fileno(), descriptor)
+            stack.enter_context(redirect(stack.enter_context(os.fdopen(descriptor, "w", closefd=False))))
+        code = main([str(argument) for argument in arguments])
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        texts = [(file.seek(0), file.read())[1] for file in (out, err)]
+    return subprocess.CompletedProcess(arguments, code, *texts)
+
+
+def assert_refused(done, *words):
+    """Exit 2, nothing on stdout, and one line on stderr after any progress, with `words` in it."""
+    lines = [line for line in done.stderr.splitlines() if not re.match(r" *\d+%  ", line)]
+    assert (done.returncode, done.stdout, len(lines)) == (2, "", 1), done.stderr
+    assert lines[0].startswith("xihe: ")
+    for word in words:
+        assert word in lines[0], lines[0]
