@@ -156,6 +156,15 @@ def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):
     ]
 
 
+@pytest.mark.parametrize("name", ["Record3D", "Nerfstudio"])
+def test_a_folder_around_a_recording_says_which_one_is_in_it(tmp_path, name):
+    write, intrinsics = LAYOUTS[name]
+    path = write(tmp_path / "recorded", walk(intrinsics, 2))
+    with pytest.raises(ValueError, match="holds no recording itself: give ") as said:
+        open_capture(path.parent)
+    assert str(path) in str(said.value)
+
+
 def test_colour_goes_with_the_depth_and_pose_next_to_it_in_time(tmp_path):
     frames = walk(LAYOUTS["TUM RGB-D"][1], 3)
     as_tum(tmp_path, frames)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,9 @@ READERS: dict[str, tuple[Callable[[Path], bool], Callable[[Path, str | None], Ca
 }
 """By name, whether a folder, or for Record3D a file, holds one, and how it is read."""
 
+ARCHIVES = (record3d.SUFFIX, ".zip")
+N_NAMED = 3
+
 
 def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor_m: float = 0.0) -> Capture:
     """The session in the folder or file `path`; its pictures are read one by one, when they are asked for.
@@ -37,7 +41,19 @@ def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor
     for is_in, read in READERS.values():
         if is_in(path):
             return set_by_hand(_with_doubts(read(path, up)), scale=scale, floor_m=floor_m)
+    if inside := _recordings_in(path):
+        raise ValueError(f"{path} holds no recording itself: give {' or '.join(map(str, inside))}, which is one")
     raise ValueError(f"{path} holds no recording that is known: expected one of {', '.join(READERS)}")
+
+
+def _recordings_in(folder: Path) -> list[Path]:
+    """The first few recordings that lie in `folder`, one level deeper, as where an app's folder was copied into one."""
+    found: list[Path] = []
+    with contextlib.suppress(OSError):  # What cannot be looked into is none that could be named.
+        for path in sorted(folder.iterdir()):
+            if (path.is_dir() or path.suffix.lower() in ARCHIVES) and any(is_in(path) for is_in, _ in READERS.values()):
+                found.append(path)
+    return found[:N_NAMED]
 
 
 def _with_doubts(capture: Capture) -> Capture:

@@ -47,7 +47,10 @@ def read(folder: Path, up: str | None) -> Capture:
             raise ValueError(f"{path}, frame {number}: {error}") from error
         frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, 1e-3))
     if not frames:
-        raise ValueError(f"{path}: no frame has a depth_file_path that is there: record with depth")
+        raise ValueError(
+            f"{path}: no frame has both a file_path and a depth_file_path that are there: "
+            "record with depth, and copy all files"
+        )
     notes = [f"Times are not known: {FPS:g} frames a second are assumed."]
     if n_without:
         notes.append(f"{n_frames(n_without)} without colour or depth left out.")

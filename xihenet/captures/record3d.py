@@ -80,9 +80,14 @@ def read(path: Path, up: str | None) -> Capture:
 
 
 def _metadata(archive: Archive) -> dict[str, Any]:
+    if METADATA not in archive.members:
+        raise ValueError(
+            f"{archive.path}: {METADATA} is missing, which Record3D stores at the top of its file: "
+            "unpack another app's zip, and give the folder that is in it"
+        )
     content = archive.read(METADATA, MOST_METADATA)
     try:
-        said = parse_json(content.decode("utf-8"))
+        said = parse_json(content.decode("utf-8-sig"))
     except ValueError as error:
         raise ValueError(f"{archive.path}, {METADATA}: expected JSON, and could not read it ({error})") from None
     if not isinstance(said, dict):

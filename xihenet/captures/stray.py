@@ -69,14 +69,18 @@ def _odometry(path: Path) -> list[ArrayF64]:
     """Per frame, by rising number, what COLUMNS and, in newer files, INTRINSICS name."""
     found = _lines(path)
     names = [name.strip() for name in found[0]] if found else []
+    first = 1
     if names[: len(COLUMNS)] == list(COLUMNS):
-        found = found[1:]
+        found, first = found[1:], 2
     has_intrinsics = set(INTRINSICS) <= set(names)
     columns = [*range(len(COLUMNS)), *(names.index(name) for name in INTRINSICS if has_intrinsics)]
     rows = []
-    for number, line in enumerate(found, start=1):
+    for number, line in enumerate(found, start=first):
         if len(line) <= max(columns):
-            raise ValueError(f"{path}, line {number}: expected {', '.join(COLUMNS)}, got {line!r:.80}")
+            raise ValueError(
+                f"{path}, line {number}: expected {', '.join(COLUMNS)}, got {line!r:.80}: "
+                "copy the file again, or cut the line"
+            )
         rows.append(numbers([line[column] for column in columns], len(columns), f"{path}, line {number}"))
         if not (rows[-1][1].is_integer() and 0 <= rows[-1][1] < MOST_FRAMES):
             raise ValueError(f"{path}, line {number}: expected a number of a frame, got {rows[-1][1]:g}")

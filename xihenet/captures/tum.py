@@ -81,10 +81,15 @@ def _intrinsics(path: Path) -> tuple[Intrinsics, str]:
 
 def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:
     """Time and the other values of each line, by rising time."""
-    rows = [line.split() for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines()]
-    rows = [row for row in rows if row and not row[0].startswith("#")]
-    if not rows or any(len(row) != 1 + n_values for row in rows):
-        raise ValueError(f"{path}: expected lines of a time and {n_values} more, and at least one of them")
+    lines = [line.split() for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines()]
+    numbered = [(number, row) for number, row in enumerate(lines, 1) if row and not row[0].startswith("#")]
+    expected = f"expected lines of a time and {n_values} more, and at least one of them"
+    for number, row in numbered:
+        if len(row) != 1 + n_values:
+            raise ValueError(f"{path}, line {number}: {expected}, got {len(row)}: copy the file again, or cut the line")
+    rows = [row for _, row in numbered]
+    if not rows:
+        raise ValueError(f"{path}: {expected}")
     times = [float(numbers(row[:1], 1, str(path))[0]) for row in rows]
     return sorted(((time_s, row[1:]) for time_s, row in zip(times, rows, strict=True)), key=lambda one: one[0])
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from xihenet.captures.capture import Capture, CapturedFrame, inside
+from xihenet.captures.capture import Capture, CapturedFrame, inside, n_frames
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.io.recording import FRAME_FILES, SESSION_FILE, load_frame, read_header, read_session
+
+NUMBER = re.compile(r"frame_(\d{1,9})\.exr")
 
 
 def is_in(folder: Path) -> bool:
@@ -26,11 +30,19 @@ def read(folder: Path, up: str | None) -> Capture:
         "Xihe session",
         [_frame(path) for path in paths],
         BLENDER_FROM_UP["z"],
-        facts.not_known,
+        (*facts.not_known, *_gaps(paths)),
         facts.reference_exposure,
         facts.trigger,
         is_exposure_known=True,
     )
+
+
+def _gaps(paths: Sequence[Path]) -> tuple[str, ...]:
+    """A note where numbers are missing between those of the files, which are written one after the other."""
+    found = [NUMBER.fullmatch(path.name) for path in paths]
+    numbers = [int(one[1]) for one in found if one is not None]
+    n_gone = max(numbers) + 1 - min(numbers) - len(set(numbers)) if len(numbers) == len(paths) else 0
+    return (f"{n_frames(n_gone)} missing between the others: copy the recording again.",) if n_gone else ()
 
 
 def _frame(path: Path) -> CapturedFrame:
