@@ -140,6 +140,7 @@ def test_the_scan_lies_on_the_walls_faces_the_room_and_has_the_colours_that_were
     assert floor.sum() > 500
     assert normals[floor].mean(axis=0) == pytest.approx((0, 0, 1), abs=0.02)
     assert made.scan.is_shadow_catcher
+    assert made.scan.active_material.diffuse_color[3] < 0.5, "in a solid view the pictures behind show through"
     colours = np.array([tuple(colour.color_srgb)[:3] for colour in mesh.color_attributes[0].data]) * 255
     wall = (np.abs(points[:, 0] - HALF[0]) < 0.01) & (np.abs(points[:, 1]) < 1.2) & (np.abs(points[:, 2]) < 0.9)
     assert wall.sum() > 500

@@ -12,6 +12,9 @@ from xihenet.captures.capture import Capture
 from xihenet.scan import ScanMesh
 
 COLOURS = "Seen Colour"
+SOLID_COLOUR = (0.8, 0.8, 0.8, 0.2)
+"""Of a solid view, with its opacity: the pictures behind the camera show through the scan."""
+
 MOVED_M, TURNED_RAD = 0.08, np.radians(6)
 """Frames that differ from the last one that was taken in by less add nothing to the scan that it does not have."""
 
@@ -46,8 +49,9 @@ def add_scan(name: str, scan: ScanMesh, unit_m: float) -> bpy.types.Object:
 
 
 def _showing_colours(name: str) -> bpy.types.Material:
-    """A dull material in the colours of the mesh's points."""
+    """A dull material in the colours of the mesh's points, and see-through where a solid view shows no colours."""
     material = new_material(name)
+    material.diffuse_color = SOLID_COLOUR
     tree = material.node_tree
     shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Roughness"].default_value = 1.0
