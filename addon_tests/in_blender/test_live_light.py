@@ -14,7 +14,7 @@ from xihe_blender.addon.panels import moved_positions
 from xihe_blender.addon.results_in_blender import apply_results
 from xihe_blender.apply.datablocks import LightOf, lit_scene
 from xihe_blender.apply.keys import f_curves
-from xihe_blender.apply.lit_scene import ROOM_COPY
+from xihe_blender.apply.lit_scene import ROOM_COPY, keep_added
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
@@ -131,6 +131,26 @@ def test_an_object_that_was_added_is_in_the_lit_scene_at_once(scene):
     assert shown.view_layers["Xihe New"].world_override == bpy.data.worlds["Xihe New"]
     behind = [item for item in shown.objects if ROOM_COPY in item]
     assert behind and all(item.hide_select for item in behind), "a click on the picture selects nothing"
+
+
+def test_an_object_that_was_duplicated_in_the_lit_scene_is_virtual_in_the_room(scene):
+    assert bpy.ops.xihe.show_lit() == {"FINISHED"}
+    ball = bpy.data.objects["Ball"]
+    again = ball.copy()
+    next(home for home in ball.users_collection if home.name.startswith("Xihe Lit")).objects.link(again)
+    again.location.x += 0.3
+    board = bpy.data.objects["Board"]
+    virtual_collection(scene).objects.unlink(board)  # As Blender's Delete does in the room.
+    before = set(bpy.data.objects)
+    assert keep_added() == [again] and keep_added() == []
+    if bpy.context.window is not None:
+        bpy.context.window.scene = scene
+    bpy.context.view_layer.update()
+    assert bpy.ops.xihe.show_lit() == {"FINISHED"}
+    assert set(virtual_collection(scene).objects) == {ball, again}
+    assert lit_scene().view_layers[f"Xihe {again.name}"].world_override == bpy.data.worlds[f"Xihe {again.name}"]
+    assert bpy.ops.xihe.remove_light() == {"FINISHED"}
+    assert again in set(scene.objects) and before >= set(scene.objects)
 
 
 def test_an_object_that_moves_along_the_path_keeps_the_light_of_the_run(scene):

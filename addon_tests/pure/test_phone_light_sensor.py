@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from xihenet.colour import LUMINANCE
 from xihenet.phone.light_sensor import (
     LightSensor,
     ambient_of_reading,

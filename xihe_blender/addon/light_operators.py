@@ -54,7 +54,9 @@ class XIHE_OT_show_lit(Action, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str | None:
         from xihe_blender.addon.results_in_blender import left_out, show_lit
+        from xihe_blender.apply.lit_scene import keep_added
 
+        keep_added()
         scene, folder, active = context.scene, last_run_folder(context.scene), context.view_layer.objects.active
         unlit = light_the_new(scene)
         lit = show_lit(scene, folder, active.name if active else "")
@@ -72,11 +74,16 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_lit_scene)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        from xihe_blender.apply.lit_scene import keep_added
+
         lit = context.scene
         room = lit[ROOM]
         if room is None:
             self.report({"ERROR"}, "The room's scene is gone from this file")
             return {"CANCELLED"}
+        if added := keep_added():
+            names = ", ".join(item.name for item in added)
+            self.report({"INFO"}, f"Added to Xihe Lit, and virtual now: {names}. Show Lit gives it light of its own")
         room.frame_set(lit.frame_current)
         if context.window is not None:
             context.window.scene = room

@@ -88,9 +88,11 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
         if in_background:
             yield from results_imported()
         from xihe_blender.addon.run_settings import choices_of_run, previs_settings, run_and_show
+        from xihe_blender.apply.lit_scene import keep_added
         from xihe_blender.previs.plan import plan_previs
         from xihe_blender.previs.survey import may_see_a_position
 
+        keep_added()
         settings = previs_settings(scene)
         plan = plan_previs(scene, settings)
         if not (yield from may_see_a_position(scene, plan)):

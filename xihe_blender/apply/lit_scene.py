@@ -21,12 +21,13 @@ import bmesh
 import bpy
 from mathutils import Matrix
 
-from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, lit_scene
+from xihe_blender.apply.datablocks import KEY_LIGHT, LIT_SCENE, ROOM, SHADOW_CATCHER, lit_scene
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.io.outputs import link_or_copy
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
 from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 if TYPE_CHECKING:
     from xihenet.io.frame_files import FrameCamera
@@ -37,7 +38,11 @@ PHONE = "Xihe Phone"
 ROOM_COPY = "xihe_room_copy"
 """Custom property of what holds out in front of the objects. A name would not do: a user's object may have it."""
 
+SHOWN = "xihe_shown"
+"""Custom property of a collection of the scene: the virtual object that it was made for."""
+
 _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "CURVES", "POINTCLOUD")
+_MARKS = (ROOM_COPY, KEY_LIGHT, SHADOW_CATCHER)
 _FROM_EDGES = ("NODES", "SCREW", "SKIN")
 """Modifiers that may make faces of edges that have none."""
 
@@ -263,11 +268,37 @@ def _compositor_tree(lit: bpy.types.Scene) -> bpy.types.NodeTree:
     return tree
 
 
+def keep_added() -> list[bpy.types.Object]:
+    """Make virtual in its room what the user added to the scene `Xihe Lit`, where it would go with that; gives those.
+
+    Duplicates of the objects shown, and whatever else is in no other scene and not ours. None without the scene or its
+    room, or where that room's virtual objects are another file's.
+    """
+    lit = lit_scene()
+    room = None if lit is None else lit.get(ROOM)
+    if lit is None or room is None:
+        return []
+    shown = {collection.get(SHOWN) for collection in lit.collection.children}
+    phones = {item for item in lit.collection.objects if item.name.startswith(PHONE)}
+    ours = shown | phones | {item for item in lit.objects if any(mark in item for mark in _MARKS)}
+    added = [item for item in lit.objects if item not in ours and set(item.users_scene) == {lit}]
+    collection = virtual_collection(room, create=bool(added))
+    if collection is None or collection.library is not None or collection.override_library is not None:
+        return []
+    for item in added:
+        collection.objects.link(item)
+    return added
+
+
 def remove_lit_scene() -> None:
-    """Remove the open file's scene `Xihe Lit` and all that only it uses; windows that show it go back to its room."""
+    """Remove the open file's scene `Xihe Lit` and all that only it uses; windows that show it go back to its room.
+
+    What the user added to it stays, as of `keep_added`.
+    """
     lit = lit_scene()
     if lit is None:
         return
+    keep_added()
     room = lit.get(ROOM)
     for manager in bpy.data.window_managers:
         for window in manager.windows:
@@ -301,6 +332,7 @@ def set_up_lit_scene(
         root.objects.unlink(item)
     for item in objects:
         collection = bpy.data.collections.new(f"{LIT_SCENE} {item.name}")
+        collection[SHOWN] = item
         collection.objects.link(item)
         root.children.link(collection)
     lit.render.film_transparent = True
