@@ -194,6 +194,18 @@ def test_a_lost_run_is_offered_where_its_file_was_moved_together_with_it(project
     assert bpy.context.window_manager.xihe.unshown_run == ""
 
 
+def test_a_run_is_offered_in_a_file_that_was_first_saved_while_it_was_under_way(project, tmp_path):
+    opened_project(project)
+    bpy.context.scene.xihe.begun_run = str(project / "xihe_runs" / LATER)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(elsewhere / "room.blend"))
+    assert opened_project(elsewhere).unshown_run == str(project / "xihe_runs" / LATER)
+    assert bpy.ops.xihe.resume_run() == {"FINISHED"}
+    bpy.ops.wm.save_mainfile()
+    assert opened_project(elsewhere).unshown_run == ""
+
+
 def test_a_run_is_found_where_its_file_was_moved_together_with_it(project, tmp_path):
     later = project / "xihe_runs" / LATER
     opened_project(project)

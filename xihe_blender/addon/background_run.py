@@ -18,7 +18,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -26,7 +26,7 @@ from typing import IO, Any
 import bpy
 
 from xihe_blender.addon.preferences import runs_folder
-from xihe_blender.addon.runs_folder import last_part
+from xihe_blender.addon.runs_folder import found_folder, last_part
 from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import Parameters, as_json, read_record
@@ -214,17 +214,20 @@ def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> 
     return BackgroundRun(folder)
 
 
-def newest_run(blend: str) -> Path | None:
+def newest_run(blend: str, begun: Iterable[str] = ()) -> Path | None:
     """Folder of the newest run of the file `blend`, whatever became of it; None without one.
 
-    A run beside the file is of the file of that name, wherever both were when it was begun.
+    A run beside the file is of the file of that name, wherever both were when it was begun. Those in the folders
+    `begun`, as scenes remember them, are the file's by whatever name it had then, or if it had none.
     """
     runs = [BackgroundRun(path.parents[1]) for path in runs_folder().glob("*/work/request.json")] if blend else []
+    remembered = [BackgroundRun(found_folder(folder)) for folder in begun if folder]
     found = []
-    for run in runs:
+    for run in (*runs, *remembered):
         with contextlib.suppress(UserError):
             is_beside = run.folder.parent.parent == Path(blend).parent
-            if run.request.blend == blend or (is_beside and last_part(run.request.blend) == Path(blend).name):
+            is_named = run.request.blend == blend or (is_beside and last_part(run.request.blend) == Path(blend).name)
+            if is_named or run in remembered:
                 found.append((run.request.started, run.folder))
     return max(found, default=(0.0, None))[1]
 

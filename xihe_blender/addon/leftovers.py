@@ -47,7 +47,8 @@ def _look_for_run() -> None:
 
     And one that has ended, if the file was closed without saving: see `properties._unshown_run`.
     """
-    bpy.context.window_manager.xihe.newest_run = str(newest_run(bpy.data.filepath) or "")
+    begun = [scene.xihe.begun_run for scene in bpy.data.scenes]
+    bpy.context.window_manager.xihe.newest_run = str(newest_run(bpy.data.filepath, begun) or "")
 
 
 def register() -> None:

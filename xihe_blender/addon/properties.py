@@ -228,6 +228,11 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     run_folder: bpy.props.StringProperty(
         name="Last Run", description="Folder of the run whose results are shown", subtype="DIR_PATH"
     )
+    begun_run: bpy.props.StringProperty(
+        name="Begun Run",
+        description="Folder of the run that was begun last: a file saved by another name meanwhile finds it by this",
+        subtype="DIR_PATH",
+    )
     budget_folder: bpy.props.StringProperty(
         name="Last Budget", description="Folder of the error budget that is shown", subtype="DIR_PATH"
     )

@@ -54,7 +54,7 @@ class Following(ModalJob):
             chosen.run_made_of = time.strftime("%H:%M", time.localtime(run.request.started))
         if run is None:
             # A run in this process cannot be taken up, and an earlier one is the newest no more.
-            context.window_manager.xihe.newest_run = ""
+            context.window_manager.xihe.newest_run = chosen.begun_run = ""
         self.report({"INFO"}, f"The run is finished: {self.folder}")
         from xihe_blender.addon.results_in_blender import left_out
 
@@ -110,6 +110,7 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
             except OSError as error:
                 self.report({"WARNING"}, f"No second Blender ({error.strerror}): this window waits while frames render")
             else:
+                scene.xihe.begun_run = str(self.folder)
                 yield from self.follow(run)
                 return
         yield from run_and_show(scene, self.folder, settings)
