@@ -294,6 +294,18 @@ def test_health_metrics_page_and_openapi_are_there(server):
     assert {re.sub(r"\{\w+\}", "{}", path) for path in document["paths"]} == served
 
 
+@pytest.mark.parametrize("path", ["/", "/health", "/metrics", "/openapi.json"])
+def test_head_is_answered_as_get_without_the_body(server, path):
+    # Load balancers and `curl -I` ask so whether a server is there.
+    answers = {
+        method: server.raw(f"{method} {path} HTTP/1.0\r\n\r\n".encode()) for method in ("GET", "HEAD", "OPTIONS")
+    }
+    heads = {method: answer.partition(b"\r\n\r\n")[0] for method, answer in answers.items()}
+    lines = {method: [line.split(b":")[0] for line in head.splitlines()] for method, head in heads.items()}
+    assert lines["HEAD"] == lines["GET"] and answers["HEAD"] == heads["HEAD"] + b"\r\n\r\n"
+    assert b"204 No Content" in heads["OPTIONS"] and b"Allow: GET, HEAD, OPTIONS" in heads["OPTIONS"]
+
+
 def _routes():
     from xihenet.edge.server import ROUTES
 

@@ -301,6 +301,49 @@ def test_a_store_that_hangs_or_was_killed_is_lost_for_a_moment(redis_server, mon
         assert store.session(one.id) == one and set(store.positions(one.id)) == {"a"} and store.keeps_a_file()
 
 
+@NEEDS_REDIS
+def test_a_store_that_refuses_is_lost_and_says_why(redis_server, monkeypatch):
+    from xihenet.edge import redis_store
+
+    monkeypatch.setattr(redis_store, "PAUSE_S", 0.0)
+    with closing(InRedis(redis_server)) as kept, redis_server.client() as client:
+        store = kept.store()
+        client.config_set("min-replicas-to-write", 1)  # It refuses all that writes, as where its disk is full.
+        try:
+            for ask in (store.check, lambda: added(store)):
+                with pytest.raises(StoreLost, match="refuses") as lost:
+                    ask()
+                assert "replicas" in str(lost.value.__cause__)
+        finally:
+            client.config_set("min-replicas-to-write", 0)
+        (one,) = added(store)
+        assert store.session(one.id) == one
+    with closing(redis_store.RedisStore(redis_server.url[:-1] + "99")) as store, pytest.raises(StoreLost) as lost:
+        store.keeps_a_file()
+    assert "DB index is out of range" in str(lost.value.__cause__)
+
+
+@NEEDS_REDIS
+def test_in_a_full_memory_sessions_are_used_and_forgotten_as_before(redis_server):
+    with closing(InRedis(redis_server)) as kept, redis_server.client() as client:
+        store = kept.store()
+        kept_one, *_ = added(store, 3, owner=new_token())
+        put(store, kept_one.id, "a", SEEN)
+        kept.pass_time(60)
+        assert store.session(kept_one.id)
+        kept.pass_time(550)
+        client.config_set("maxmemory", 1)
+        try:
+            with pytest.raises(StoreFull, match="memory is full"):
+                put(store, kept_one.id, "b", SEEN)
+            assert store.session(kept_one.id) == kept_one and set(store.positions(kept_one.id)) == {"a"}
+            assert store.counts() == (1, 1)
+            store.delete(kept_one.id)
+            assert store.counts() == (0, 0)
+        finally:
+            client.config_set("maxmemory", 0)
+
+
 def made_position(rng, n, *, is_bare=False):
     cloud = random_cloud(rng, n)
     if is_bare:

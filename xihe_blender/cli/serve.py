@@ -25,6 +25,9 @@ from xihenet.edge.sessions import StoreLimits, StoreLost
 NEEDS_TORNADO = "the server needs Tornado: pip install 'xihe-blender[edge]'"
 NEEDS_REDIS = "--store needs redis-py: pip install 'xihe-blender[edge]'"
 STORE_VARIABLE = "XIHE_EDGE_STORE"
+MOST_EXPIRE_S = 1e9
+"""Some thirty years: Redis keeps times in whole milliseconds."""
+
 NO_FILE = "note: the store's append-only file is off, so that sessions are lost when it restarts"
 ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\sA-Z]+")
 """A scheme and a host in lower case, and a port: browsers send nothing else, and it is compared as text."""
@@ -113,8 +116,10 @@ def server_settings(options: argparse.Namespace) -> ServerSettings:
         raise UserError(f"--sizes: expected numbers from 1 to {PUBLISHED_SIZES[-1]}, got {options.sizes}")
     if not 0 <= options.port <= 65535:
         raise UserError(f"--port: expected 0 to 65535, got {options.port}")
-    if not (options.expire > 0 and options.sessions >= 1):
-        raise UserError("--expire and --sessions: expected more than 0")
+    if not 0 < options.expire <= MOST_EXPIRE_S:
+        raise UserError(f"--expire: expected more than 0, and {MOST_EXPIRE_S:.0f} at most, got {options.expire:g}")
+    if options.sessions < 1:
+        raise UserError(f"--sessions: expected 1 or more, got {options.sessions}")
     if options.key is not None and options.certificate is None:
         raise UserError("--key belongs to a certificate: give --certificate as well")
     for origin in options.allow_origin:
@@ -149,6 +154,7 @@ def _check_store(url: str, stderr: Any) -> None:
         from xihenet.edge.redis_store import RedisStore
 
         with contextlib.closing(RedisStore(url)) as store:
+            store.check()
             if not store.keeps_a_file():
                 print(NO_FILE, file=stderr)
     except ModuleNotFoundError as error:
@@ -159,7 +165,8 @@ def _check_store(url: str, stderr: Any) -> None:
         raise UserError(f"--store: expected redis://HOST:PORT/DB ({error})") from error
     except StoreLost as error:
         raise UserError(
-            f"--store: {str(error.__cause__).rstrip('.')}: start redis-server there, or give its address"
+            f"--store: {str(error.__cause__).rstrip('.')}: start redis-server there, or give its address, password and "
+            "number of the database"
         ) from error
 
 

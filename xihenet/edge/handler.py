@@ -35,12 +35,15 @@ OF_ALL_ANSWERS = {
     "Cache-Control": "no-store",
 }
 
+METHODS = {"GET": "get", "HEAD": "get", "POST": "post", "DELETE": "delete", "OPTIONS": "options"}
+"""HTTP's, and a handler's own that answers it. An answer to HEAD is sent without its body, see `Request.send`."""
+
 OF_ALLOWED_ORIGINS = {
     "Vary": "Origin",
     "Access-Control-Allow-Headers": ", ".join(
         (*protocol.OUR_HEADERS, "Content-Type", "Authorization", "Anchor-Size", "Session-ID")
     ),
-    "Access-Control-Allow-Methods": "GET, POST, DELETE, OPTIONS",
+    "Access-Control-Allow-Methods": ", ".join(METHODS),
     "Access-Control-Expose-Headers": "Retry-After, Xihe-Dropped-Records, Xihe-Lost-Records",
     "Access-Control-Max-Age": "600",
 }
@@ -85,7 +88,6 @@ class Handler:
     """One request and its answer. A route has a method for each of HTTP's that it knows, a coroutine where it waits."""
 
     needs_bearer = True
-    METHODS = ("GET", "POST", "DELETE", "OPTIONS")
 
     def __init__(self, request: Request, site: Site, route: str) -> None:
         self.request, self.site, self.service, self.route = request, site, site.service, route
@@ -121,15 +123,18 @@ class Handler:
             raise Refused(413, f"expected a body of at most {MAX_BODY_BYTES} bytes, got {request.n_bytes}")
 
     def _method(self) -> Callable[..., Awaitable[None] | None]:
-        method: Callable[..., Awaitable[None] | None] | None = None
-        if self.request.method in self.METHODS:
-            method = getattr(self, self.request.method.lower(), None)
-        if method is None:
-            self.headers["Allow"] = ", ".join(name for name in self.METHODS if hasattr(self, name.lower()))
+        name = METHODS.get(self.request.method, "")
+        if not hasattr(self, name):
+            self.headers["Allow"] = self._allowed()
             raise Refused(405, HTTPStatus(405).phrase)
+        method: Callable[..., Awaitable[None] | None] = getattr(self, name)
         return method
 
+    def _allowed(self) -> str:
+        return ", ".join(method for method, name in METHODS.items() if hasattr(self, name))
+
     def options(self, *_: str) -> None:
+        self.headers["Allow"] = self._allowed()
         self.finish(204)
 
     def tell(self, answer: Mapping[str, Any], status: int = 200) -> None:
@@ -138,6 +143,7 @@ class Handler:
     def refuse(self, error: Exception) -> None:
         """Tell what is refused with its message, and a fault of ours without."""
         if isinstance(error, StoreLost):
+            log_lost(error)
             error = self.service.lost(error)
         refused = error if isinstance(error, Refused) else Refused(500, HTTPStatus(500).phrase)
         if refused is not error:
@@ -215,6 +221,12 @@ def begin_of(session_id: str) -> str:
 def log_event(event: str, **fields: Any) -> None:
     """One line of JSON."""
     logger.info(json.dumps({"time": round(time.time(), 3), "event": event, **fields}))
+
+
+def log_lost(error: StoreLost) -> None:
+    """Why the store does not work; nothing while it is left alone."""
+    if error.__cause__ is not None:
+        log_event("store lost", error=str(error.__cause__))
 
 
 @contextmanager

@@ -36,6 +36,7 @@ MOST_REMEMBERED = 512
 TIMEOUT_S = 0.25
 PAUSE_S = 1.0
 LOST = "the store of sessions does not answer"
+REFUSES = "the store of sessions refuses what it is asked"
 
 Read = TypeVar("Read")
 Key = TypeVar("Key")
@@ -45,7 +46,8 @@ _POSITION = b"at:"
 
 # What all scripts begin with. Times are milliseconds; the 1 in the keys is the version of all that lies there. Use is
 # noted when a hundredth of the time to live has gone by, so that the calls of one request write it once. A position's
-# mark has a field of its own, so that telling whether it changed does not copy it.
+# mark has a field of its own, so that telling whether it changed does not copy it. What takes no memory is written
+# first: where memory is full a script may go on to write after that, so that sessions can be used and forgotten.
 _SHARED = """
 local id, idle, least_idle = ARGV[1], tonumber(ARGV[2]), tonumber(ARGV[3])
 local most_sessions, most_positions, most_of_session = tonumber(ARGV[4]), tonumber(ARGV[5]), tonumber(ARGV[6])
@@ -61,8 +63,8 @@ local function owner_key(owner) return 'xihe:1:owner:' .. owner end
 local function use(id)
     local last = tonumber(redis.call('ZSCORE', used, id) or 0)
     if now - last < idle / 100 then return end
-    redis.call('ZADD', used, now, id)
     redis.call('PEXPIRE', key_of(id), idle)
+    redis.call('ZADD', used, now, id)
     local owner = redis.call('HGET', key_of(id), 'owner')
     if owner then redis.call('PEXPIRE', owner_key(owner), idle) end
 end
@@ -74,10 +76,10 @@ local function find(id)
 end
 
 local function forget(id)
+    redis.call('DEL', key_of(id))
     redis.call('DECRBY', total, redis.call('HGET', sizes, id) or 0)
     redis.call('HDEL', sizes, id)
     redis.call('ZREM', used, id)
-    redis.call('DEL', key_of(id))
 end
 
 local function expire()
@@ -154,6 +156,10 @@ return {redis.call('ZCARD', used), tonumber(redis.call('GET', total) or 0)}
 }
 
 _HASHES = {name: hashlib.sha1((_SHARED + text).encode()).hexdigest() for name, text in _SCRIPTS.items()}
+
+
+class _WrongType(Exception):
+    """At a key of ours lies something else."""
 
 
 class RedisStore:
@@ -248,7 +254,8 @@ class RedisStore:
         return b"aof_enabled:1" in self._asked("INFO", "persistence")
 
     def check(self) -> None:
-        self._asked("PING")
+        # Which changes nothing, and is refused where nothing may be written, unlike PING.
+        self._asked("HDEL", "xihe:1:sizes", "")
 
     def close(self) -> None:
         self._connection.disconnect()
@@ -267,9 +274,7 @@ class RedisStore:
                 return self._asked("EVAL", _SHARED + _SCRIPTS[script], *arguments)
         except redis.OutOfMemoryError:
             raise StoreFull("the store's memory is full") from None
-        except redis.ResponseError as error:
-            if "WRONGTYPE" not in str(error):
-                raise
+        except _WrongType:
             self._forget_unreadable(session_id)
             return None
 
@@ -281,9 +286,14 @@ class RedisStore:
                 return self._answer(command)
             except redis.ConnectionError:  # Once more, so that a store that was restarted costs no request.
                 return self._answer(command)
-        except (redis.ConnectionError, redis.TimeoutError, redis.ReadOnlyError) as error:
+        except (redis.exceptions.NoScriptError, redis.OutOfMemoryError):
+            raise
+        except redis.RedisError as error:
+            if "WRONGTYPE" in str(error):
+                raise _WrongType from None
             self._silent_until_s = time.monotonic() + PAUSE_S
-            raise StoreLost(LOST) from error
+            is_refused = isinstance(error, redis.ResponseError)
+            raise StoreLost(REFUSES if is_refused else LOST) from error
 
     def _answer(self, command: tuple[Any, ...]) -> Any:
         """A connection that is not there is made, and one that failed is closed."""

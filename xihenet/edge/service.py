@@ -98,7 +98,7 @@ class EdgeService:
 
     def open(self, session: Session) -> Session:
         """Keep a new session."""
-        with self._kept():
+        with self.kept():
             self.store.add(session)
         self.metrics.count("xihe_sessions_total", happened="opened")
         return session
@@ -198,7 +198,7 @@ class EdgeService:
             # What does not fit its session, which only another hand can have put there, is replaced.
             known = before if before is not None and _fits(before, session) else None
             after = self._merged(known, sent, wishes)
-            with self._kept():
+            with self.kept():
                 is_kept = self.store.put_position(session.id, name, after, before)
         self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
         return after
@@ -249,7 +249,7 @@ class EdgeService:
                 self.store.put_position(session.id, name, replace(seen, key=key), seen)
 
     @contextmanager
-    def _kept(self) -> Iterator[None]:
+    def kept(self) -> Iterator[None]:
         """Refuse what the store does not keep in the block."""
         try:
             yield

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import resources
 
 from xihenet import __version__
-from xihenet.edge.handler import Handler
+from xihenet.edge.handler import Handler, log_lost
 from xihenet.edge.openapi import openapi_document
 from xihenet.edge.protocol import failure
 from xihenet.edge.sessions import StoreLost
@@ -22,6 +22,7 @@ class HealthRoute(Handler):
         try:
             store.check()
         except StoreLost as error:
+            log_lost(error)
             self.headers["Retry-After"] = str(self.service.settings.retry_after_s)
             self.tell(told | failure(str(error)), 503)
         else:

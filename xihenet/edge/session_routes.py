@@ -143,8 +143,9 @@ class ClientsRoute(Handler):
             with_client = joined(session, token, self.service.settings.limits)
         except StoreFull as full:
             raise Refused(409, str(full)) from None
-        if not self.service.store.replace(with_client, session):
-            return False
+        with self.service.kept():
+            if not self.service.store.replace(with_client, session):
+                return False
         self.tell({"ok": True, "token": token, "n_anchors": session.n_anchors, "target": session.target}, 201)
         return True
 

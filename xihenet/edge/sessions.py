@@ -45,7 +45,7 @@ class SessionGone(Exception):
 
 
 class StoreLost(Exception):
-    """The store does not answer, and may again in a moment."""
+    """The store does not answer, or refuses, and may work again in a moment; the cause says why, when it was asked."""
 
 
 @dataclass(frozen=True)
