@@ -2,10 +2,12 @@
 
 import base64
 import contextlib
+import http.client
 import json
 import re
 import socket
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +21,7 @@ from xihenet.codec import encode_cloud
 from xihenet.edge.axes import sh_from, vector_from
 from xihenet.edge.batching import Inference
 from xihenet.edge.http_settings import ServerSettings
-from xihenet.edge.protocol import read_published
+from xihenet.edge.protocol import content_type_of, read_published
 from xihenet.edge.service import ServiceSettings
 from xihenet.edge.sessions import SeenPosition, StoreLimits
 from xihenet.light.key_light import split_light
@@ -434,6 +436,41 @@ def test_a_connection_that_is_cut_within_a_body_leaves_nothing(server):
             head = f"POST /api/v3/sessions/{session}/positions/a HTTP/1.1\r\nHost: x\r\nXihe-Token: {token}\r\n"
             connection.sendall(head.encode() + b"Content-Length: 700\r\n\r\n" + bytes(300))
     assert server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)[1]["positions"] == {}
+
+
+def test_a_server_that_stops_answers_what_waits_and_refuses_the_rest():
+    server, statuses = EdgeServer(inference=SlowInference("projection")).start(), []
+    session, token = server.opened(n_anchors=N)
+    path = f"/api/v3/sessions/{session}/positions/a?key_light=yes"
+    headers = {"Xihe-Token": token, "Content-Type": content_type_of("float32_stripped"), "Xihe-Exposure": "1"}
+    until = time.monotonic() + 5  # Who stops earlier did not wait for those who go on to ask.
+
+    def ask():
+        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+        with contextlib.closing(connection), contextlib.suppress(ConnectionError, http.client.HTTPException):
+            while time.monotonic() < until:
+                connection.request("POST", path, encode_cloud(cloud_of(1), "float32_stripped"), headers)
+                response = connection.getresponse()
+                response.read()
+                statuses.append(response.status)
+
+    with ThreadPoolExecutor(6) as clients:
+        for _ in range(6):
+            clients.submit(ask)
+            time.sleep(0.03)  # So that some wait whenever others are answered.
+        server.stop()
+        assert time.monotonic() < until
+    assert set(statuses) <= {200, 503} and statuses.count(200) >= 6
+
+
+class SlowInference(Inference):
+    def __init__(self, name):
+        super().__init__(name)
+        self.is_quick = False
+
+    def __call__(self, jobs):
+        time.sleep(0.05)
+        return super().__call__(jobs)
 
 
 def test_too_many_connections_are_closed_at_once():

@@ -64,6 +64,7 @@ class Site:
             if "(" in pattern
         ]
         self._waiting: set[asyncio.Future[None]] = set()
+        self.is_stopping = False
 
     def answer(self, request: Request) -> None:
         """Have it answered, at once or later."""
@@ -82,6 +83,12 @@ class Site:
         """Until it is done: the event loop alone does not."""
         self._waiting.add(task)
         task.add_done_callback(self._waiting.discard)
+
+    async def stop(self) -> None:
+        """Until what waits is answered; what arrives meanwhile is refused."""
+        self.is_stopping = True
+        while self._waiting:
+            await asyncio.wait(self._waiting)
 
 
 class Handler:
@@ -113,6 +120,8 @@ class Handler:
 
     def prepare(self) -> None:
         """Refuse what no route answers."""
+        if self.site.is_stopping:
+            raise Refused(503, "the server is stopping: try again later", self.service.settings.retry_after_s)
         bearer, request = self.site.settings.bearer, self.request
         if bearer and self.needs_bearer and request.method != "OPTIONS":
             sent = request.headers.get("Authorization", "")

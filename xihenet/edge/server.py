@@ -73,6 +73,7 @@ async def running(inference: Inference, settings: ServerSettings) -> AsyncIterat
         for task in beside:
             task.cancel()
         server.stop()
+        await site.stop()
         await service.close()
         await server.close_all_connections()
 
