@@ -231,7 +231,21 @@ def test_another_kind_of_service_is_said():
         EdgeBackend(f"http://127.0.0.1:{server.port}", N, patience=QUICK)
 
 
-@pytest.mark.parametrize("url", ["127.0.0.1:8550", "ftp://a", "http://", "http://a/b", "http://a:b", "http://[1", ""])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "127.0.0.1:8550",
+        "ftp://a",
+        "http://",
+        "http://a/b",
+        "http://a:b",
+        "http://[1",
+        "",
+        "http://a b",
+        "http://1..2",
+        "http://a:0",
+    ],
+)
 def test_an_address_that_is_none_is_refused(url):
     with pytest.raises(ValueError, match="address of an edge service"):
         EdgeBackend(url)

@@ -126,12 +126,14 @@ def _parsed(url: str) -> tuple[str, int, bool]:
     """Host, port, and whether it is TLS; ValueError for a URL that is none."""
     try:
         parts = urllib.parse.urlsplit(url)
-        is_tls, port = parts.scheme == "https", parts.port
-    except ValueError:  # A port that is no number, or half of an IPv6 address
-        parts, is_tls, port = urllib.parse.urlsplit(""), False, None
-    if parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/"):
+        is_tls, host, port = parts.scheme == "https", parts.hostname or "", parts.port
+        host.encode("idna")  # As it is when it is looked up
+    except ValueError:  # A port that is no number, half of an IPv6 address, or two dots in a row
+        parts, is_tls, host, port = urllib.parse.urlsplit(""), False, "", None
+    is_host = bool(host) and " " not in host and port != 0
+    if parts.scheme not in ("http", "https") or not is_host or parts.path.strip("/"):
         raise ValueError(f"expected the address of an edge service, such as http://127.0.0.1:8550, got {url!r}")
-    return parts.hostname, port or (443 if is_tls else protocol.PORT), is_tls
+    return host, port or (443 if is_tls else protocol.PORT), is_tls
 
 
 def _seconds(text: str | None) -> float:
