@@ -9,14 +9,15 @@ from previs_runs import N_FRAMES, counted_renders, files_below, run, walk
 from tiny_scenes import saved
 
 from xihe_blender.apply.datablocks import LIT_SCENE
-from xihe_blender.io.json_records import as_json
-from xihe_blender.io.outputs import write_json
+from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.blender_process import write_result
 from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.results import read_result, result_file
+from xihe_blender.lab.batch.results import FilesRead, read_result, result_file
 from xihe_blender.lab.batch.unit import evaluate_unit
 from xihe_blender.scene.blend_file import open_blend
+from xihenet.io.json_files import read_json
 
 pytestmark = pytest.mark.usefixtures("small_light_probes")
 SMALL = BatchSettings(
@@ -94,6 +95,16 @@ def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, whole, 
     assert run_blocking(unit_of(file, tmp_path)).trials == whole[0].trials
     captures = [name for name in there if "capture_" in name]
     assert captures and all(files_below(tmp_path)[name] == there[name] for name in captures)
+
+
+@pytest.mark.parametrize(("read", "is_kept"), [(FilesRead(), True), (FilesRead(sha256="0f"), False)])
+def test_renders_that_a_stopped_unit_made_from_other_files_go(tmp_path, file, read, is_kept):
+    outputs = RunOutputs(tmp_path / "unit", "walk")
+    write_json(outputs.settings, as_json(read))
+    write_json(outputs.exposure, {})
+    with contextlib.closing(unit_of(file, outputs.folder)) as job:
+        next(job)
+    assert outputs.exposure.exists() == is_kept and from_json(FilesRead, read_json(outputs.settings)) == FilesRead()
 
 
 @pytest.mark.slow

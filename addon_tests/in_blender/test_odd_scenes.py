@@ -19,6 +19,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.render_room import RoomRenderSettings
 from xihe_blender.lab.rooms.scene import add_scene
+from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.scene_faults import unseen_faults
@@ -186,6 +187,45 @@ def test_a_library_or_an_image_that_has_changed_since_makes_another_run(library,
     tiles[1].write_bytes(b"five")
     found.append(made(scene))
     assert found[0] is None and len(set(found)) == len(found)
+
+
+def test_all_files_that_a_render_reads_are_known_and_no_others(tmp_path):
+    scene = walk(2)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    assert files_read() == []
+
+    def here(*names):
+        return {str(tmp_path / name) for name in names}
+
+    film = bpy.data.images.new("film", 4, 4)
+    film.source, film.filepath = "SEQUENCE", "//film.v2.0010.jp2"
+    shown_in_the_sky(film)
+    clip = bpy.data.images.new("clip", 4, 4)
+    clip.source, clip.filepath = "MOVIE", "//clip[1].mp4"
+    shown_in_the_sky(clip)
+    for number, (name, is_sequence) in enumerate([("fog.vdb", False), ("smoke_7.vdb", True)]):
+        volume = bpy.data.volumes.new(f"Volume {number}")
+        volume.filepath, volume.is_sequence = f"//{name}", is_sequence
+    assert set(files_read()) == here("film.v2.[0-9]*.jp2", "clip[[]1].mp4", "fog.vdb", "smoke_[0-9]*.vdb")
+
+    lamp = bpy.data.lights.new("Lamp", "POINT")
+    lamp.use_nodes = True
+    for node_type, path in (("TexIES", "//lamp.ies"), ("Script", "//lamp.osl")):
+        node = lamp.node_tree.nodes.new(f"ShaderNode{node_type}")
+        node.mode, node.filepath = "EXTERNAL", path
+    table = scene.objects["Table"]
+    table.modifiers.new("", "MESH_CACHE").filepath = "//table.mdd"
+    table.modifiers.new("", "OCEAN").filepath = "//ocean"
+    cloth = table.modifiers.new("", "CLOTH").point_cache
+    cloth.use_disk_cache = True
+    fluid = table.modifiers.new("", "FLUID")
+    fluid.fluid_type = "DOMAIN"
+    fluid.domain_settings.cache_directory = "//fluid"
+    now = here("lamp.ies", "lamp.osl", "table.mdd")
+    assert now < set(files_read()) and not here("ocean/**/*", "fluid/**/*") & set(files_read())
+    fluid.domain_settings.cache_type = "ALL"
+    cloth.use_external, cloth.filepath = True, "//cloth"
+    assert here("fluid/**/*", "cloth/**/*") < set(files_read())
 
 
 def shown_in_the_sky(image):

@@ -8,6 +8,7 @@ from jsonschema import Draft202012Validator
 
 from addon_tests.pure.batches import batch, frontier, results, trial
 from xihe_blender.errors import UserError
+from xihe_blender.io.folder_manifest import contents_sha256
 from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.outputs import write_json
 from xihe_blender.io.run_results import METRICS, Metrics
@@ -19,12 +20,14 @@ from xihe_blender.lab.batch.results import (
     BatchFolder,
     BatchManifest,
     BatchResults,
+    FilesRead,
     TrialFigures,
     UnitCost,
     UnitResult,
     batch_results,
     batch_schema,
     read_frontier,
+    read_result,
     result_file,
     worst_frame,
 )
@@ -74,6 +77,9 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     content["weights"][SETTINGS.estimators[0]] = "of another training"
     (tmp_path / "out" / "batch.json").write_text(json.dumps(content))
     with pytest.raises(UserError, match="another training"):
+        folder.manifest(SETTINGS).take()
+    (tmp_path / "out" / "batch.json").write_text(json.dumps(content | {"blender": "4.1"}))
+    with pytest.raises(UserError, match="another version of Blender"):
         folder.manifest(SETTINGS).take()
 
 
@@ -126,6 +132,18 @@ def test_only_units_that_are_done_and_not_damaged_are_in_the_results(tmp_path, c
         path.write_text(damage)
         assert folder.result(units[1]) is None
         assert caplog.messages == [f"{path} is damaged and is made again"]
+
+
+def test_a_unit_is_not_done_any_more_where_a_file_that_its_scene_reads_has_changed(tmp_path):
+    (tmp_path / "fog.vdb").write_bytes(b"one")
+    patterns = (str(tmp_path / "*.vdb"),)
+    read = FilesRead(patterns=patterns, sha256=contents_sha256(patterns))
+    cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
+    done = UnitResult(trials=(), step_ms=(), render_s=0, cost=cost, read=read)
+    write_json(result_file(tmp_path), as_json(done))
+    assert read_result(tmp_path) == done
+    (tmp_path / "fog.vdb").write_bytes(b"and more")
+    assert read_result(tmp_path) is None
 
 
 def test_scenes_of_one_name_are_told_apart_by_their_folders(tmp_path):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_manifest import FolderManifest, differences
+from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256, differences
 
 MADE_WITH = {"xihe": "1.0", "settings": {"seed": 0, "size": (32, 24)}, "frames": (1, 2)}
 VALUES = st.one_of(st.integers(), st.none(), st.text(max_size=3), st.lists(st.integers(), max_size=2))
@@ -36,7 +36,7 @@ def test_a_folder_is_taken_once_and_known_again(tmp_path):
         ({"xihe": "2.0", "frames": (1,)}, "another version of xihe:"),
         ({"blender": "5.2"}, "another version of Blender:"),
         ({"blend_sha256": "0f"}, "another scene file:"),
-        ({"linked_sha256": "0f"}, "another linked library or image:"),
+        ({"linked_sha256": "0f"}, "another library, image or other file that the scene reads:"),
     ],
 )
 def test_what_differs_is_named_and_the_claim_stays(tmp_path, changed, words):
@@ -87,3 +87,16 @@ def test_settings_differ_exactly_where_they_do(kept, wanted):
     wanted = json.loads(json.dumps(wanted))
     named = differences({"settings": kept}, {"settings": wanted})
     assert set(named) == {name.replace("_", " ") for name in {*kept, *wanted} if kept.get(name) != wanted.get(name)}
+
+
+def test_content_is_known_by_the_names_of_files_and_what_is_in_them(tmp_path):
+    def written(**files):
+        for name, content in files.items():
+            (tmp_path / "in" / name).mkdir(parents=True, exist_ok=True)
+            (tmp_path / "in" / name / "0001.vdb").write_text(content)
+        return contents_sha256([str(tmp_path / "in" / "**" / "*"), str(tmp_path / "in" / "a" / "0001.vdb")])
+
+    assert written() is None
+    found = [written(a="one"), written(b="two"), written(a="two", b="one")]
+    (tmp_path / "in" / "a" / "0001.vdb").rename(tmp_path / "in" / "a" / "0002.vdb")
+    assert len({*found, written()}) == 4

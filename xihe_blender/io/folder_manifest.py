@@ -6,8 +6,12 @@ holds something else is refused, not mixed and not overwritten.
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import hashlib
 import json
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +24,7 @@ WORK = "work"  # the kind of work, where several keep a file of the same name; m
 NOT_COMPARED = "software"  # written down for the reader alone
 WORDS = {
     "blend_sha256": "scene file",
-    "linked_sha256": "linked library or image",
+    "linked_sha256": "library, image or other file that the scene reads",
     "weights": "training of its networks",
 }
 
@@ -93,6 +97,31 @@ def differences(kept: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
     settings = _other_names(of_kept if isinstance(of_kept, dict) else {}, wanted.get("settings", {}))
     others = _other_names({**kept, "settings": None}, {**wanted, "settings": None})
     return [WORDS.get(name, name.replace("_", " ")) for name in (*settings, *others)]
+
+
+def contents_sha256(patterns: Iterable[str]) -> str | None:
+    """SHA-256 of the names and contents of all files that match absolute patterns of `glob`.
+
+    None where there is no such file, or none that can be read.
+    """
+    whole, digest = hashlib.sha256(), None
+    for path in sorted({path for pattern in map(Path, patterns) for path in _matching(pattern)}):
+        with contextlib.suppress(OSError), path.open("rb") as file:  # Nor can Blender read it.
+            state = os.fstat(file.fileno())
+            whole.update(os.fsencode(path.name) + b"/" + _content_digest(path, state.st_size, state.st_mtime_ns))
+            digest = whole.hexdigest()
+    return digest
+
+
+@functools.cache
+def _content_digest(path: Path, _size: int, _mtime_ns: int) -> bytes:
+    """Volumes are large, and a batch asks about each of its units more than once."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
+
+
+def _matching(pattern: Path) -> Iterable[Path]:
+    return Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor)))
 
 
 VERSIONS = {"xihe": "version of xihe", "format": "version of xihe", "blender": "version of Blender"}

@@ -5,22 +5,20 @@ What is wrong with the scene itself is found here, what is wrong with a frame of
 
 from __future__ import annotations
 
-import contextlib
-import glob
 import hashlib
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import bpy
 
-from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera, sized_for
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_manifest import WORK
+from xihe_blender.io.folder_manifest import WORK, contents_sha256
+from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.phone_capture import remembered_capture
@@ -30,9 +28,6 @@ from xihenet.camera import Intrinsics
 from xihenet.records import ArrayF64
 
 DEFAULT_SIZE = (256, 192)
-
-LOOKED_AT_IN = (bpy.types.Camera, bpy.types.Screen, bpy.types.WorkSpace, bpy.types.WindowManager)
-"""Users of an image that no render shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +159,7 @@ def made_of(
         "xihe": __version__,
         "blender": bpy.app.version_string,
         "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
-        "linked_sha256": _linked_sha256(),
+        "linked_sha256": contents_sha256(files_read()),
         "scene": scene.name,
         "settings": asdict(settings),
         # A file of the user's may have changed since.
@@ -174,29 +169,3 @@ def made_of(
         "size": plan.size,
         "objects": [item.name for item in plan.objects],
     }
-
-
-def _linked_sha256() -> str | None:
-    """SHA-256 of the libraries and images that the open file reads from other files; None without any.
-
-    Of a film or a sequence it is that of the file that Blender names. Pictures of our own are left out, and those that
-    are only looked at: behind a camera or in an editor.
-    """
-    users = bpy.data.user_map(subset=[image for image in bpy.data.images if not image.packed_files])
-    images = [
-        image
-        for image, of_image in users.items()
-        if not image.name.startswith(PREFIX) and any(not isinstance(user, LOOKED_AT_IN) for user in of_image)
-    ]
-    named = {bpy.path.abspath(one.filepath, library=one.library) for one in (*bpy.data.libraries, *images)}
-    digests = []
-    for path in itertools.chain.from_iterable(map(_files_of, map(Path, named))):
-        with contextlib.suppress(OSError), path.open("rb") as file:  # Blender cannot read it either.
-            digests.append(hashlib.file_digest(file, "sha256").digest())
-    return hashlib.sha256(b"".join(sorted(digests))).hexdigest() if digests else None
-
-
-def _files_of(path: Path) -> Iterable[Path]:
-    """The file that Blender reads there: all tiles, where the path stands for an image that has several."""
-    tiles = glob.escape(path.name).replace("<UDIM>", 4 * "[0-9]").replace("<UVTILE>", "u*_v*")
-    return path.parent.glob(tiles) if "<U" in path.name else [path]

@@ -17,11 +17,12 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256
 from xihe_blender.io.json_records import Json, Plain, as_json, from_json, json_schema
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
@@ -104,6 +105,14 @@ class UnitCost:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FilesRead:
+    """What a scene reads besides its .blend: libraries, images, volumes, caches."""
+
+    patterns: Annotated[tuple[str, ...], "of their paths, as Python's glob reads them"] = ()
+    sha256: Annotated[str | None, "of their names and contents; None where there is none"] = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class UnitResult:
     """All of a unit's result.json."""
 
@@ -111,6 +120,7 @@ class UnitResult:
     step_ms: Annotated[tuple[float | None, ...], "the chain's mean time by trial; None where nothing was in view"]
     render_s: Annotated[float, "of everything"]
     cost: Annotated[UnitCost, "see there"]
+    read: Annotated[FilesRead, "see there"] = FilesRead()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,6 +183,7 @@ class BatchManifest:
 
     format: Annotated[int, "version of the folder's files"]
     xihe: Annotated[str, "version of xihe"]
+    blender: Annotated[str | None, "version of Blender as a Python module; None where it is not one"] = None
     settings: Annotated[BatchSettings, "what all units share"]
     profiles: Annotated[dict[str, PhoneUsed], "its phones"]
     weights: Annotated[dict[str, str], "SHA-256 of each network's weights file, by estimator"]
@@ -184,14 +195,24 @@ FRAME_COLUMNS = (*WHICH, *(part.name for part in fields(TrialFrame)))
 UNIT_COLUMNS = ("unit", "scene", "seed", "elapsed_s", "processor_s", "render_s", "peak_memory_mb", "written_bytes")
 
 
+def _blender_version() -> str | None:
+    """Asked of the package: a batch must not load Blender."""
+    try:
+        return metadata.version("bpy")
+    except metadata.PackageNotFoundError:
+        return None
+
+
 def result_file(unit_folder: Path) -> Path:
     """The result of a unit; that it exists says that the unit is done."""
     return unit_folder / "result.json"
 
 
 def read_result(unit_folder: Path) -> UnitResult | None:
-    """What a unit came to; None if it is not done, or its file is damaged."""
-    return kept_json(result_file(unit_folder), lambda content: from_json(UnitResult, content))
+    """What a unit came to; None if it is not done or damaged, or if what its scene reads is not what it was."""
+    found = kept_json(result_file(unit_folder), lambda content: from_json(UnitResult, content))
+    is_current = found is not None and contents_sha256(found.read.patterns) == found.read.sha256
+    return found if is_current else None
 
 
 def worst_picture(folder: Path, trial: int, kind: str) -> Path:
@@ -223,7 +244,12 @@ class BatchFolder:
         phones = {name: from_json(PhoneUsed, as_json(load_profile(name))) for name in settings.phones}
         weights = weights_sha256(settings.estimators, settings.target)
         content = BatchManifest(
-            format=FORMAT_VERSION, xihe=__version__, settings=settings, profiles=phones, weights=weights
+            format=FORMAT_VERSION,
+            xihe=__version__,
+            blender=_blender_version(),
+            settings=settings,
+            profiles=phones,
+            weights=weights,
         )
         results = (self.path / "results.json",)
         return FolderManifest(self.path, self.path / "batch.json", "a batch", as_json(content), results)

@@ -19,6 +19,7 @@ import contextlib
 import functools
 import itertools
 import operator
+import shutil
 import statistics
 import sys
 import time
@@ -29,6 +30,7 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure, open_comparer
+from xihe_blender.io.folder_manifest import contents_sha256
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
@@ -37,6 +39,7 @@ from xihe_blender.jobs import Job, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.results import (
     WORST_KINDS,
+    FilesRead,
     TrialFigures,
     TrialFrame,
     TriggerFigures,
@@ -46,6 +49,7 @@ from xihe_blender.lab.batch.results import (
     worst_picture,
 )
 from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths, surfaces_known
+from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.path_renders import render_path
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
@@ -82,8 +86,10 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
     outputs = RunOutputs(folder, file.stem)
     trials = settings.trials()
     check_is_rendered(scene)
+    read = _begun_with(outputs)
     plan = plan_previs(scene, settings.of_trial(*trials[0], seed))
     survey = survey_run(scene, plan, outputs)
+    write_json(outputs.settings, as_json(read))
     with scene_kept():
         runs = []
         for phone, estimator in trials:
@@ -104,7 +110,17 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
         step_ms=tuple(map(_mean_step_ms, walks)),
         render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
         cost=_cost(folder, start_s, start_processor_s),
+        read=read,
     )
+
+
+def _begun_with(outputs: RunOutputs) -> FilesRead:
+    """What the open file reads from others; renders that a stopped unit made from anything else go."""
+    patterns = files_read()
+    read = FilesRead(patterns=tuple(patterns), sha256=contents_sha256(patterns))
+    if kept_json(outputs.settings, functools.partial(from_json, FilesRead)) != read:
+        shutil.rmtree(outputs.folder, ignore_errors=True)
+    return read
 
 
 def _mean_step_ms(walked: WalkedPath) -> float | None:

@@ -23,7 +23,7 @@ from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_p
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_manifest import FolderManifest
+from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256
 from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_or_made
 from xihe_blender.io.outputs import write_csv, write_json
@@ -53,6 +53,7 @@ from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.timing import median_and_spread
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
+from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.plan import PrevisPlan, check_is_rendered, plan_previs
 from xihe_blender.previs.prepare import effects_kept, positive_exposure
 from xihe_blender.previs.sample_count import measure_sample_count, pilot_views
@@ -91,12 +92,15 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     names = [file.stem for file in files]
     if twice := [name for name in names if names.count(name) > 1]:
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
+    patterns = []
     for file in files:
         survey_scene(open_blend(file), settings.size)
+        patterns += files_read()
     provenance = {
         "xihe": __version__,
         "blender": bpy.app.version_string,
         "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
+        "linked_sha256": contents_sha256(patterns),
         "settings": asdict(settings),
         "weights": weights_sha256(estimators.names(), "ldr"),
     }

@@ -1,0 +1,109 @@
+"""Which files besides the open .blend does a render read?
+
+Who takes up earlier work asks whether one of them has changed since. They are patterns of `glob`, so that their content
+can be looked at again without Blender, and a frame that joins a sequence is seen as well.
+
+Left out are pictures of our own, what is only looked at (behind a camera, in an editor, by the compositor), and caches
+of simulations that are not baked: Blender writes those itself as frames go by. Rejected: `bpy.utils.blend_paths()`,
+which names sounds and edited footage too, and of a sequence its first frame.
+"""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from xihe_blender.apply.datablocks import PREFIX
+
+LOOKED_AT_IN = (bpy.types.Camera, bpy.types.Scene, bpy.types.Screen, bpy.types.WorkSpace, bpy.types.WindowManager)
+"""Users of a picture or a film that no render shows: runs use neither the compositor nor the sequencer of a scene."""
+
+
+def files_read() -> list[str]:
+    """Absolute patterns, sorted: of single files, all tiles of a picture, all frames of a sequence, all in a folder."""
+    return sorted({*_blocks(), *_nodes(), *_caches()})
+
+
+def _blocks() -> Iterator[str]:
+    """Libraries, pictures and films, volumes, fonts, and files of meshes that move (Alembic, USD)."""
+    for block in (*bpy.data.libraries, *_shown(bpy.data.images), *_shown(bpy.data.movieclips)):
+        yield _pattern(block, block.filepath, is_sequence=getattr(block, "source", "") == "SEQUENCE")
+    for block in (*bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts):
+        if getattr(block, "packed_file", None) is None and block.filepath not in ("", "<builtin>"):
+            yield _pattern(block, block.filepath, is_sequence=getattr(block, "is_sequence", False))
+
+
+def _shown(blocks: Any) -> Iterator[Any]:
+    """Those of the pictures or clips that are in files of their own, and that a render may show."""
+    users = bpy.data.user_map(subset=[one for one in blocks if one.filepath and not getattr(one, "packed_files", ())])
+    for block, of_block in users.items():
+        if not block.name.startswith(PREFIX) and any(not isinstance(user, LOOKED_AT_IN) for user in of_block):
+            yield block
+
+
+def _nodes() -> Iterator[str]:
+    """IES files, scripts in OSL, and what geometry nodes import."""
+    for owner in (*bpy.data.materials, *bpy.data.lights, *bpy.data.worlds, *bpy.data.node_groups):
+        tree = owner if isinstance(owner, bpy.types.NodeTree) else owner.node_tree
+        for node in tree.nodes if tree is not None else ():
+            sockets = [one for one in node.inputs if one.bl_idname.endswith("FilePath")]
+            paths = [str(one.default_value) for one in sockets]  # type: ignore[attr-defined]
+            if getattr(node, "mode", "EXTERNAL") == "EXTERNAL":
+                paths.append(getattr(node, "filepath", ""))
+            yield from (_pattern(owner, path) for path in paths if path)
+
+
+def _caches() -> Iterator[str]:
+    """What modifiers and baked simulations keep in files."""
+    for item in bpy.data.objects:
+        caches = [system.point_cache for system in item.particle_systems]
+        for modifier in map(_AnyModifier, item.modifiers):
+            caches.append(modifier.point_cache)
+            fluid = modifier.domain_settings
+            folders = [
+                modifier.bake_directory,
+                *(bake.directory for bake in modifier.bakes or () if bake.use_custom_path),
+            ]
+            if fluid is not None and fluid.cache_type != "REPLAY":
+                folders.append(fluid.cache_directory)
+            if modifier.type == "OCEAN" and modifier.is_cached:
+                folders.append(modifier.filepath)
+            elif modifier.filepath and modifier.type != "OCEAN":
+                yield _pattern(item, modifier.filepath)
+            yield from (_below(item, folder) for folder in folders if folder)
+        for cache in filter(None, caches):
+            if cache.use_external:
+                yield _below(item, cache.filepath)
+            elif cache.use_disk_cache and cache.is_baked:
+                file = Path(item.library.filepath if item.library is not None else bpy.data.filepath)
+                yield _below(item, str(file.with_name(f"blendcache_{file.stem}")))
+
+
+class _AnyModifier:
+    """A modifier of any type: what it does not have is None."""
+
+    def __init__(self, modifier: bpy.types.Modifier) -> None:
+        self._modifier = modifier
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._modifier, name, None)
+
+
+def _below(owner: bpy.types.ID, folder: str) -> str:
+    return str(Path(_pattern(owner, folder), "**", "*"))
+
+
+def _pattern(owner: bpy.types.ID, path: str, *, is_sequence: bool = False) -> str:
+    """Of what Blender reads there for `owner`, whose library a relative path starts from."""
+    absolute = Path(bpy.path.abspath(path, library=owner.library))
+    name = glob.escape(absolute.name).replace("<UDIM>", 4 * "[0-9]").replace("<UVTILE>", "u*_v*")
+    if is_sequence:
+        # The last number before the suffix, as Blender counts.
+        stem, dot, suffix = name.rpartition(".")
+        name = re.sub(r"\d+(?=\D*$)", "[0-9]*", stem or suffix, count=1) + (f"{dot}{suffix}" if stem else "")
+    return str(Path(glob.escape(str(absolute.parent)), name))
