@@ -27,9 +27,9 @@ from xihe_blender.previs.plan import planned_frames
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.camera import encode_exposed
-from xihenet.metering import METERINGS, metered_exposure
 from xihenet.metrics import share_above_white
 from xihenet.mirror_ball import project_mirror_ball
+from xihenet.phone.metering import METERINGS, metered_exposure
 from xihenet.records import ArrayF32
 
 

@@ -26,7 +26,7 @@ from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.io.recording import load_frame
 from xihenet.metrics import shc_rmse
-from xihenet.phone_session import PhoneSession
+from xihenet.phone.session import PhoneSession
 
 WAYS = {
     "living_room": [(1.3, 1.45, 0.13), (-1.6, 1.45, 0.13)],

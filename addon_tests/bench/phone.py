@@ -32,7 +32,6 @@ from xihenet.buffers import merge_in_sight
 from xihenet.camera import sensed_ambient, unproject_frame
 from xihenet.colour import srgb_to_linear
 from xihenet.io.npz_files import read_npz
-from xihenet.metering import metered_exposure
 from xihenet.metrics import shc_rmse
 from xihenet.phone import (
     LINKS,
@@ -44,6 +43,7 @@ from xihenet.phone import (
     facts_of_session,
     load_profile,
 )
+from xihenet.phone.metering import metered_exposure
 from xihenet.records import RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice

@@ -23,10 +23,10 @@ from given import paths
 from xihenet import estimators
 from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture
+from xihenet.captures.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.captures.writing import WRITERS
 from xihenet.captures.writing.pictures import Form
 from xihenet.records import ArrayF64, RgbdFrame
-from xihenet.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 
 WIDE = 4
 LAYOUTS = [(name, Form(colour_scale=scale)) for name in WRITERS for scale in (1, WIDE)]

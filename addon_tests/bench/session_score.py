@@ -22,12 +22,12 @@ from xihenet.buffers import merge
 from xihenet.camera import unproject_frame
 from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture
+from xihenet.left_out import score_places, score_session
 from xihenet.metrics import shc_rmse
-from xihenet.placement import rank_correlation
 from xihenet.records import ArrayF64
 from xihenet.sampling import sample_unit_sphere
-from xihenet.session_score import score_places, score_session
 from xihenet.sphere import AnchorLattice
+from xihenet.walk.placement import rank_correlation
 
 NAMES = ("ambient", "projection", "xihenet", "lattice")
 

@@ -21,8 +21,8 @@ from xihe_blender.scene.state import WORKING
 from xihenet import estimators
 from xihenet.estimators import Target
 from xihenet.light import LightChoice
-from xihenet.metering import METERINGS
 from xihenet.phone import LINKS, profile_names
+from xihenet.phone.metering import METERINGS
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST_BYTES = 12_000_000

@@ -28,7 +28,7 @@ from xihe_blender.capture.render import RenderSettings, render_scene, working_sc
 from xihe_blender.capture.scanner import METERING_SAMPLES, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
 from xihenet.camera import ray_distance_from_plane_depth, unproject_frame
-from xihenet.metering import KEY_LUMINANCE
+from xihenet.phone.metering import KEY_LUMINANCE
 
 ROOT = Path(__file__).resolve().parents[2]
 

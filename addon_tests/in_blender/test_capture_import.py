@@ -45,11 +45,11 @@ from xihenet import estimators
 from xihenet.camera import project_points, unproject_frame
 from xihenet.captures import open_capture
 from xihenet.captures.checks import steadied
+from xihenet.captures.replay import REPLAY_TRIGGER, never_in_view, replay
+from xihenet.captures.scan import Scan, ScanSettings
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import Intrinsics
-from xihenet.replay import REPLAY_TRIGGER, never_in_view, replay
-from xihenet.scan import Scan, ScanSettings
 
 OFF_CENTRE = Intrinsics(64, 48, 50.0, 48.5, 30.2, 25.1)
 

@@ -22,7 +22,7 @@ from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import EstimateContext
 from xihenet.io.recording import load_frame
 from xihenet.phone import EFFECTS, LINKS
-from xihenet.phone_session import PhoneSession
+from xihenet.phone.session import PhoneSession
 from xihenet.records import UnitSphereCloud
 
 FAST = replace(SMALL, estimator="projection", n_anchors=320)

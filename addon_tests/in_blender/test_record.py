@@ -20,10 +20,10 @@ from xihe_blender.previs.record import RecordWishes, record_session
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.captures import open_capture
+from xihenet.captures.replay import never_in_view, replay
 from xihenet.captures.writing import WRITERS
 from xihenet.io.recording import load_frame
 from xihenet.light.light_picture import sphere_mask
-from xihenet.replay import never_in_view, replay
 
 
 def record(scene, out, settings=SMALL, **wishes):

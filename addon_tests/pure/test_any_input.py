@@ -11,8 +11,8 @@ from addon_tests.pure.hard_cases.hard_clouds import estimator
 from addon_tests.pure.made import looked_at, pose_of
 from xihenet.buffers import merge
 from xihenet.camera import encode_exposed, project_points, unproject_frame
-from xihenet.metering import metered_exposure
 from xihenet.metrics import angular_error_deg, image_rmse, normalized_rmse, psnr, shc_rmse, si_rmse, ssim
+from xihenet.phone.metering import metered_exposure
 from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sampling_reference import sample_unit_sphere_reference

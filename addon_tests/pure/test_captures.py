@@ -24,9 +24,9 @@ from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
 from xihenet import estimators
 from xihenet.captures import READERS, open_capture
+from xihenet.captures.replay import never_in_view, replay
 from xihenet.captures.values import rotation_of
 from xihenet.captures.writing.pictures import in_y_up
-from xihenet.replay import never_in_view, replay
 
 AT = (0.4, 0.3, -0.5)
 Y_UP = ("Record3D", "Stray Scanner", "Polycam")

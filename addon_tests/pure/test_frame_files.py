@@ -32,7 +32,7 @@ from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
 from xihenet.io import frame_files, image_files, openexr_package
 from xihenet.io.frame_files import read_camera, read_frame
 from xihenet.io.image_files import area_averaged
-from xihenet.metering import KEY_LUMINANCE
+from xihenet.phone.metering import KEY_LUMINANCE
 
 ROOT = Path(__file__).resolve().parents[2]
 RADIANCE, PLANE_DEPTH_M = box_radiance_and_plane_depth()

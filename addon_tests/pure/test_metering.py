@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from xihenet.camera import encode_exposed
-from xihenet.metering import BRIGHTEST_MEAN, BRIGHTEST_SHARE, METERINGS, metered_exposure
+from xihenet.phone.metering import BRIGHTEST_MEAN, BRIGHTEST_SHARE, METERINGS, metered_exposure
 
 EITHER = pytest.mark.parametrize("metering", METERINGS)
 

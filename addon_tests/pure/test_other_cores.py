@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of
-from xihenet import estimators, other_cores
+from xihenet import estimators
 from xihenet.camera import unproject_frame
 from xihenet.controller import ControllerSettings
-from xihenet.kept_walk import KeptWalk, SeenFrame
-from xihenet.other_cores import AT_ONCE, find_light_on_all_cores, helper
 from xihenet.records import Intrinsics
+from xihenet.walk import other_cores
+from xihenet.walk.kept_walk import KeptWalk, SeenFrame
+from xihenet.walk.other_cores import AT_ONCE, find_light_on_all_cores, helper
 
 CAMERA = Intrinsics(48, 36, 30.0, 30.0, 24.0, 18.0)
 N_BATCHES = 3

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.made import frame_of, pose_of
-from xihenet.placement import air_places, places_among, rank_correlation, rank_correlation_interval, upward_points
 from xihenet.records import Intrinsics
+from xihenet.walk.placement import air_places, places_among, rank_correlation, rank_correlation_interval, upward_points
 
 CAMERA = Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0)
 DOWN = np.eye(3)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.recordings import HALF, looking, seen, walk
-from xihenet import scan as scans
+from xihenet.captures import scan as scans
+from xihenet.captures.scan import Scan, ScanSettings
 from xihenet.records import Intrinsics, RgbdFrame
-from xihenet.scan import Scan, ScanSettings
 
 K = Intrinsics(128, 96, 100.0, 100.0, 64.0, 48.0)
 

@@ -8,8 +8,8 @@ from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, walk
 from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
 from xihenet import estimators
+from xihenet.left_out import score_places, score_session
 from xihenet.records import Intrinsics
-from xihenet.session_score import score_places, score_session
 
 CAMERA = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
 

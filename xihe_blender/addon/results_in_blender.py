@@ -51,11 +51,11 @@ from xihe_blender.previs.lit_blend import make_lit_scene
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.io.frame_files import FrameCamera
 from xihenet.io.recording import read_header
-from xihenet.kept_walk import FoundLight
 from xihenet.light.environments import laid_out
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
 from xihenet.records import ArrayF64, ObjectLight
+from xihenet.walk.kept_walk import FoundLight
 
 ERROR_CURVE, COVERAGE_CURVE, EXPECTED_CURVE = "Xihe SHC RMSE", "Xihe coverage", "Xihe expected error"
 LIGHT_HEIGHT = 64

@@ -19,7 +19,7 @@ from xihe_blender.scene.state import show_to_camera_alone
 
 if TYPE_CHECKING:  # The panel, which asks for what is left of a run, must do without NumPy.
     from xihenet.records import ArrayF32, ArrayF64
-    from xihenet.surfaces import Surface
+    from xihenet.walk.surfaces import Surface
 
 
 def make_shadow_catcher(name: str) -> bpy.types.Object:

@@ -40,8 +40,8 @@ from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.clipped_light import clipped_sh, relative_noise
 from xihenet.estimators.base import Target
-from xihenet.metering import KEY_LUMINANCE
 from xihenet.mirror_ball import panorama_of_ball, project_mirror_ball
+from xihenet.phone.metering import KEY_LUMINANCE
 from xihenet.records import ArrayF32, ArrayF64
 
 NAME = "Xihe Reference Probe"

@@ -31,7 +31,7 @@ from xihe_blender.scene.state import users_name
 from xihe_blender.scene.units import metres_per_unit, seconds_of
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth
-from xihenet.metering import Metering, metered_exposure
+from xihenet.phone.metering import Metering, metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, Intrinsics, RgbdFrame
 
 SCENE_NAME = "Xihe Capture"

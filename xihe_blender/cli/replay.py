@@ -20,17 +20,17 @@ from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
+from xihenet.captures.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator
 from xihenet.invalid import added, format_reason, left_out, n_left_out
 from xihenet.io.png import encode_png
+from xihenet.left_out import EstimatorScore, score_places, score_session
 from xihenet.light import BetweenEstimates
 from xihenet.light.exports import NamedLight
 from xihenet.light.light_picture import light_picture, seen_picture
 from xihenet.light.platforms import PLATFORMS
 from xihenet.records import ArrayF64, UnitSphereCloud
-from xihenet.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
-from xihenet.session_score import EstimatorScore, score_places, score_session
 
 SCORE = (
     "say how well each estimator guesses what left-out frames show, at the positions given or at 16 of the room's own; "

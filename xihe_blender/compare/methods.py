@@ -73,7 +73,7 @@ from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import light_of_rough, reflection_panorama
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
-from xihenet.surfaces import Surface
+from xihenet.walk.surfaces import Surface
 
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3

@@ -33,8 +33,8 @@ from xihenet.camera import valid_plane_depth
 from xihenet.captures import READERS, open_capture
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.checks import steadied, suspicion
+from xihenet.captures.scan import FARTHEST_M, Scan
 from xihenet.records import ArrayF64, RgbdFrame
-from xihenet.scan import FARTHEST_M, Scan
 
 COLLECTION, CAMERA, SCAN_NAME, LOOKED_AT = "Phone Capture", "Phone", "Phone Scan", "Xihe looked here first"
 LOOKED_AT_M = 1.0

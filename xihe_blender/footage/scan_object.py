@@ -9,7 +9,7 @@ from xihe_blender.scene.mesh_arrays import fill_mesh
 from xihe_blender.scene.phone_capture import SCAN
 from xihe_blender.scene.shader_nodes import new_material
 from xihenet.captures.capture import Capture
-from xihenet.scan import ScanMesh
+from xihenet.captures.scan import ScanMesh
 
 COLOURS = "Seen Colour"
 SOLID_COLOUR = (0.8, 0.8, 0.8, 0.2)

@@ -28,7 +28,7 @@ from xihenet.light import LightParts
 from xihenet.light.environments import laid_out_as_ours
 from xihenet.light.exports import NamedLight, export_files, scaled
 from xihenet.records import ArrayF64, KeyLight, ObjectLight
-from xihenet.surfaces import Surface
+from xihenet.walk.surfaces import Surface
 
 
 def as_key(key: KeyLight | None) -> KeyLightResult | None:

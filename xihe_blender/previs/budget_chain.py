@@ -21,7 +21,7 @@ from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.io.recording import load_frame
 from xihenet.phone import Link
-from xihenet.phone_session import PhoneSession
+from xihenet.phone.session import PhoneSession
 from xihenet.records import ArrayF32, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_again, sample_unit_sphere
 from xihenet.sphere import AnchorLattice

@@ -26,8 +26,8 @@ from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import Lights, WalkedPath
 from xihenet.io.recording import load_frame
-from xihenet.placement import evenly_chosen
-from xihenet.surfaces import Surface
+from xihenet.walk.placement import evenly_chosen
+from xihenet.walk.surfaces import Surface
 
 MOST_SEEN = 12
 """Captures in which surfaces are looked for, evenly spread: more show no more of a table."""

@@ -1,7 +1,7 @@
 """The session of a run, kept: what its phone saw, from which light at any other place follows without a render.
 
-The captures of a run hide the virtual objects and do not depend on them, see `xihenet.kept_walk`. What needs a render
-is not here: reference light and ground truth.
+The captures of a run hide the virtual objects and do not depend on them, see `xihenet.walk.kept_walk`. What needs a
+render is not here: reference light and ground truth.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.camera import unproject_frame
 from xihenet.io.recording import SessionFacts, load_frame
-from xihenet.kept_walk import FoundLight, KeptWalk, SeenFrame
 from xihenet.light_change import LightFollowing
-from xihenet.other_cores import find_light_on_all_cores
 from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
+from xihenet.walk.kept_walk import FoundLight, KeptWalk, SeenFrame
+from xihenet.walk.other_cores import find_light_on_all_cores
 
 OF_CHAIN = ("estimator", "target", "light", "n_anchors", "seed", "captured", "between_estimates", "network")
 """Settings by which the chain runs, under the names that results have for them too."""

@@ -29,7 +29,7 @@ from xihe_blender.capture.render import can_denoise
 from xihe_blender.io.outputs import written_whole
 from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.surfaces import Surface
+from xihenet.walk.surfaces import Surface
 
 LIFTED_M = 0.003
 """Of a catcher: copies of the room's own surfaces hold out what is behind them, and it must not be."""

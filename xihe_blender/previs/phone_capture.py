@@ -30,8 +30,8 @@ from xihe_blender.previs.survey import SceneSurvey
 from xihenet import phone as phones
 from xihenet.camera import valid_plane_depth
 from xihenet.effects import Effect, names_that_are_on, plan_effects
-from xihenet.metering import Metering, metered_exposure
 from xihenet.phone.exposure import FrameRate, delivered_frames
+from xihenet.phone.metering import Metering, metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
 SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})

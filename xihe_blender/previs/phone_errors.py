@@ -21,7 +21,7 @@ from xihe_blender.report.values import mean
 from xihenet.io.recording import load_frame
 from xihenet.metrics import shc_rmse
 from xihenet.phone import NETWORK, Link
-from xihenet.phone_session import PhoneSession
+from xihenet.phone.session import PhoneSession
 
 NOT_REPEATED = "frame_rate"
 """Frames that the phone did not deliver were never captured."""

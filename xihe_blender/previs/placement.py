@@ -29,9 +29,11 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.report.placement import write_placement_report
 from xihe_blender.scene.state import scene_kept
-from xihenet.kept_walk import FoundLight
 from xihenet.metrics import shc_rmse
-from xihenet.placement import (
+from xihenet.records import ArrayF64
+from xihenet.sh import irradiance
+from xihenet.walk.kept_walk import FoundLight
+from xihenet.walk.placement import (
     REACH_M,
     air_places,
     evenly_chosen,
@@ -41,8 +43,6 @@ from xihenet.placement import (
     seen_extent,
     upward_points,
 )
-from xihenet.records import ArrayF64
-from xihenet.sh import irradiance
 
 FINEST_M, GROWTH, N_SPACINGS = 0.05, 1.15, 40
 UP = np.array([[0.0, 0.0, 1.0]])

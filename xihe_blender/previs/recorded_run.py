@@ -35,10 +35,10 @@ from xihe_blender.previs.survey import SceneSurvey
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihenet.camera import in_view
 from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.captures.replay import REPLAY_TRIGGER
 from xihenet.effects import plan_effects
 from xihenet.estimators import Estimator
 from xihenet.io.recording import save_frame
-from xihenet.replay import REPLAY_TRIGGER
 
 MOVED_M, TURNED = 0.01, 0.02
 """By so much (of the latter in radians) the scene's camera may be off the phone's."""

@@ -4,7 +4,7 @@
 
 Each frame that the phone takes in goes through the controller; where an estimation position is in view, light probes
 are rendered and estimates made. The frames of a phone that is not perfect are derived from the captures of the whole
-path, and estimates come back over its network; see `phone_capture`, `xihenet.phone_session`.
+path, and estimates come back over its network; see `phone_capture`, `xihenet.phone.session`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from xihenet.io.recording import load_frame, save_frame
 from xihenet.light.key_light import mean_light, split_light, with_positions
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import Request, first_frame_after
-from xihenet.phone_session import PhoneSession
+from xihenet.phone.session import PhoneSession
 from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, RgbdFrame, StepReport
 
 Lights = dict[str, dict[str, ObjectLight]]

@@ -24,8 +24,8 @@ from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator, Target
 from xihenet.light import BetweenEstimates, LightChoice
 from xihenet.light_change import LightFollowing
-from xihenet.metering import METERINGS, Metering
 from xihenet.phone import LINKS, NETWORK, PHONE_EFFECTS, Link, PhoneProfile, load_profile
+from xihenet.phone.metering import METERINGS, Metering
 from xihenet.trigger import TriggerSettings
 
 Captured = Literal["path", "in-view"]

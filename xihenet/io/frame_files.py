@@ -26,7 +26,7 @@ from xihenet.io import exr, openexr_package
 from xihenet.io.image_files import read_colour, read_plane_depth
 from xihenet.io.json_files import number_in, read_json, side_in
 from xihenet.io.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
-from xihenet.metering import metered_exposure
+from xihenet.phone.metering import metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")

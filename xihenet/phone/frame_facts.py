@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.colour import srgb_to_linear
-from xihenet.metering import metered_exposure
 from xihenet.phone.depth import window_span_m
 from xihenet.phone.holes import SurfaceFacts, facing_cosines
+from xihenet.phone.metering import metered_exposure
 from xihenet.phone.motion import turn_between
 from xihenet.phone.settings import SessionFacts
 from xihenet.records import ArrayF64, RgbdFrame

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xihenet.effects import Requirement
-from xihenet.metering import Metering, checked_metering
 from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
 from xihenet.phone.exposure import AutoExposure, FrameRate
 from xihenet.phone.holes import DarkHoles, GlossyHoles, GrazingHoles, SpanHoles, TransparentHoles
 from xihenet.phone.light_sensor import LightSensor
+from xihenet.phone.metering import Metering, checked_metering
 from xihenet.phone.motion import PoseDrift, RollingShutter
 from xihenet.phone.network import Link
 from xihenet.phone.settings import Section, SessionFacts, section_from_table

@@ -8,7 +8,7 @@ import pytest
 from addon_tests.hard_case import Must, at_most, equal, near, refused, row, that
 from xihenet.camera import encode_exposed, unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.metering import metered_exposure
+from xihenet.phone.metering import metered_exposure
 from xihenet.records import Intrinsics, RgbdFrame
 
 STAGE = "colour"

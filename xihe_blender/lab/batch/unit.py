@@ -60,7 +60,7 @@ from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet.io.recording import load_frame
 from xihenet.metrics import shc_rmse
-from xihenet.phone_session import PhoneSession
+from xihenet.phone.session import PhoneSession
 from xihenet.records import ObjectLight
 
 FACTORS = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0)

@@ -65,8 +65,8 @@ from xihe_blender.scene.state import scene_kept
 from xihenet import __version__, estimators
 from xihenet.effects import effects_as_json, plan_effects
 from xihenet.estimators.weights_format import weights_sha256
-from xihenet.placement import evenly_chosen
 from xihenet.records import ArrayF64
+from xihenet.walk.placement import evenly_chosen
 
 Result = TypeVar("Result")
 COLUMNS = (

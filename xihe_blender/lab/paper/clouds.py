@@ -10,10 +10,10 @@ from typing import Any
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.buffers import merge
 from xihenet.camera import in_view, unproject_frame
-from xihenet.placement import evenly_chosen
 from xihenet.records import PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
+from xihenet.walk.placement import evenly_chosen
 
 
 @dataclass(frozen=True, eq=False)

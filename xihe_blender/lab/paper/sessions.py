@@ -23,9 +23,9 @@ from xihe_blender.jobs import Job, part_of
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.captures import open_capture
 from xihenet.io.json_files import read_json
-from xihenet.placement import evenly_chosen
+from xihenet.left_out import score_places
 from xihenet.records import ArrayF64, RgbdFrame
-from xihenet.session_score import score_places
+from xihenet.walk.placement import evenly_chosen
 
 if TYPE_CHECKING:
     import bpy

@@ -26,7 +26,7 @@ from xihe_blender.lab.rooms.views import N_VIEWS, PhoneView, RoomRays, RoomTooFu
 from xihe_blender.lab.rooms.walk import sample_walk
 from xihenet import __version__
 from xihenet.camera import encode_exposed, in_view, valid_plane_depth
-from xihenet.metering import metered_exposure
+from xihenet.phone.metering import metered_exposure
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics
 from xihenet.training.rooms import Split, split_of
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from xihe_blender.io.outputs import written_whole
 from xihenet.io.npz_files import read_npz
-from xihenet.metering import Metering
 from xihenet.mirror_ball import panorama_of_ball
+from xihenet.phone.metering import Metering
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8
 from xihenet.training.rooms import ROOM_FORMAT
 

@@ -19,8 +19,8 @@ from collections.abc import Generator, Iterator, Mapping
 from typing import Any
 
 from xihenet.child_processes import child_environment, n_cores
-from xihenet.kept_walk import FoundLight, KeptWalk
 from xihenet.records import ArrayF64
+from xihenet.walk.kept_walk import FoundLight, KeptWalk
 
 AT_ONCE = 5
 """Places of a batch: half a second of work or so, which is how long cores may wait for the last one."""
@@ -85,7 +85,7 @@ def helper(
     `packed` is the pickled walk, and lights are put into `found`.
     """
     quiet, piped = subprocess.DEVNULL, subprocess.PIPE
-    command = [sys.executable, "-P", "-m", "xihenet.other_cores"]
+    command = [sys.executable, "-P", "-m", "xihenet.walk.other_cores"]
     try:
         process = subprocess.Popen(
             command, stdin=piped, stdout=piped, stderr=quiet, env=child_environment(), **_NO_WINDOW

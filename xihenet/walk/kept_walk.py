@@ -16,7 +16,7 @@ from xihenet.camera import in_view
 from xihenet.controller import ControllerSettings
 from xihenet.estimators import Estimator
 from xihenet.phone import Link
-from xihenet.phone_session import PhoneSession
+from xihenet.phone.session import PhoneSession
 from xihenet.records import ArrayF64, Intrinsics, ObjectLight, PointCloud, RgbdFrame
 
 

@@ -26,7 +26,6 @@ import numpy as np
 
 from xihenet.camera import in_view
 from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
-from xihenet.looks import Look, LookSettings
 from xihenet.records import (
     FAR_M,
     AnchorSurfaces,
@@ -37,6 +36,7 @@ from xihenet.records import (
     UnitSphereCloud,
 )
 from xihenet.sphere import AnchorLattice
+from xihenet.walk.looks import Look, LookSettings
 
 FREE_M = 1.0
 """Around each place of the phone, taken to be free: nobody walks along a wall with the phone touching it."""
