@@ -30,8 +30,9 @@ from xihe_blender.addon.runs_folder import found_folder, last_part
 from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import Parameters, as_json, read_record
-from xihe_blender.io.outputs import RunOutputs, write_json, written_whole
+from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
+from xihenet.io.whole_files import written_whole
 
 COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")

@@ -19,8 +19,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from xihe_blender.io.outputs import written_whole
 from xihenet.io.npz_files import read_npz
+from xihenet.io.whole_files import written_whole
 from xihenet.phone import SurfaceFacts
 from xihenet.records import ArrayF32
 

@@ -24,8 +24,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     import bpy
 
     from xihe_blender.footage.import_capture import import_capture, recording_at
-    from xihe_blender.io.outputs import written_whole
     from xihe_blender.scene.phone_capture import ChosenCapture
+    from xihenet.io.whole_files import written_whole
 
     out: Path = options.out
     if out.suffix.lower() != ".blend":

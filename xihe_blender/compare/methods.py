@@ -63,12 +63,12 @@ from xihe_blender.compare.shadows import (
     surroundings,
     touches_view,
 )
-from xihe_blender.io.outputs import written_whole
 from xihe_blender.io.run_results import Metrics
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart, part_around, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.io.npz_files import read_npz
+from xihenet.io.whole_files import written_whole
 from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import light_of_rough, reflection_panorama
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xihe_blender.io.outputs import written_whole
 from xihenet.io.exr import read_exr, write_exr
+from xihenet.io.whole_files import written_whole
 from xihenet.records import ArrayF32
 
 

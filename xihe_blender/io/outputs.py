@@ -10,27 +10,23 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import errno
 import functools
 import json
 import math
 import os
 import shutil
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from xihenet.io.whole_files import written_whole
 
 if TYPE_CHECKING:
     from xihenet.records import ArrayF32, ArrayF64, ArrayU8
 
 MAX_STEM = 40
 """Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
-
-
-RENAMED_WITHIN = 10
-"""Times that a file is renamed if the system refuses, 20 ms apart."""
 
 
 def _at(*parts: str) -> functools.cached_property[Path]:
@@ -115,44 +111,6 @@ class RunOutputs:
 def _file_stem(name: str) -> str:
     """`name` as part of a file name: everything but letters, digits, '-' and '.' replaced, and not too long."""
     return "".join(c if c.isalnum() or c in "-." else "_" for c in name[:MAX_STEM])
-
-
-@contextlib.contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; rename it to `path` on success, remove it on any error.
-
-    The temporary name keeps the suffix, since writers choose a format by it. Whatever a writer says of a disk that
-    fails it, Python's or one in C++, comes out as an OSError that names `path`.
-    """
-    beside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield beside
-        _rename(beside, path)
-    except OSError as error:
-        raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from error
-    except RuntimeError as error:
-        raise _from_cpp(error, path) from error
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
-
-
-def _rename(source: Path, target: Path) -> None:
-    """Windows refuses while somebody reads the target, as the panel does five times a second."""
-    for _ in range(RENAMED_WITHIN):
-        with contextlib.suppress(PermissionError):
-            source.replace(target)
-            return
-        time.sleep(0.02)
-    source.replace(target)
-
-
-def _from_cpp(error: RuntimeError, path: Path) -> OSError:
-    """Blender puts the system's words for what went wrong into a RuntimeError."""
-    words = " ".join(str(error).split())
-    code = next((code for code in errno.errorcode if os.strerror(code) in words), errno.EIO)
-    return OSError(code, words if code == errno.EIO else os.strerror(code), str(path))
 
 
 def link_or_copy(source: Path, target: Path) -> None:

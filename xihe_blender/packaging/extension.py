@@ -30,8 +30,8 @@ from pathlib import Path
 from typing import Any
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import written_whole
 from xihenet import __version__
+from xihenet.io.whole_files import written_whole
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 EARLIEST = (1980, 1, 1, 0, 0, 0)

@@ -21,9 +21,9 @@ from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.io.look_results import LookAway
-from xihe_blender.io.outputs import written_whole
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.units import metres_per_unit
+from xihenet.io.whole_files import written_whole
 from xihenet.records import ArrayF64
 from xihenet.walk.looks import Look, turned_view
 

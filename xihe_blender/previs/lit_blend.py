@@ -26,9 +26,9 @@ from xihe_blender.apply.shadow_catchers import (
     triangles_of,
 )
 from xihe_blender.capture.render import can_denoise
-from xihe_blender.io.outputs import written_whole
 from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.units import metres_per_unit
+from xihenet.io.whole_files import written_whole
 from xihenet.walk.surfaces import Surface
 
 LIFTED_M = 0.003

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from string import Template
 
-from xihe_blender.io.outputs import written_whole
+from xihenet.io.whole_files import written_whole
 
 _TEMPLATE = Path(__file__).with_name("page.html")
 STYLE, SCRIPT = _TEMPLATE.with_suffix(".css"), _TEMPLATE.with_suffix(".js")

@@ -10,7 +10,6 @@ code when it is read.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from xihenet.estimators.base import Estimator, Target
 from xihenet.io.json_files import parse_json
 from xihenet.io.npz_files import npz_sizes, read_npz
+from xihenet.io.whole_files import written_whole
 from xihenet.records import ArrayF32
 
 FORMAT_VERSION = 1
@@ -89,11 +89,8 @@ def save_weights(path: Path, weights: NetworkWeights[Any], *, is_half: bool = Fa
         if is_half and np.abs(array).max(initial=0) > np.finfo(np.float16).max:
             raise ValueError(f"{path}: {name} does not fit into float16")
         content[name] = array.astype(np.float16) if is_half else array
-    stored = io.BytesIO()
-    np.savez(stored, **content)
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_bytes(stored.getvalue())
-    beside.replace(path)
+    with written_whole(path) as beside, beside.open("wb") as file:
+        np.savez(file, **content)
 
 
 def read_weights(

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import functools
 import json
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.invalid import Counts
 from xihenet.io.exr import Attribute, exr_attributes, exr_sizes, read_stored_exr, write_exr
 from xihenet.io.json_files import read_json
+from xihenet.io.whole_files import written_whole
 from xihenet.records import ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 from xihenet.trigger import TriggerSettings
 
@@ -71,15 +71,9 @@ def save_frame(path: Path, frame: RgbdFrame) -> None:
         header["whiteBalance"] = frame.white_balance
     if frame.invalid:
         header["invalid"] = ", ".join(f"{reason} {n}" for reason, n in frame.invalid.items())
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        compression = "none" if frame.plane_depth_m.size <= MOST_PLAIN_PIXELS else "ZIP"
+    compression = "none" if frame.plane_depth_m.size <= MOST_PLAIN_PIXELS else "ZIP"
+    with written_whole(path) as beside:
         write_exr(beside, channels, compression=compression, attributes=header)
-        beside.replace(path)
-    except OSError as error:  # A disk that is full does not say for which file.
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def load_frame(path: Path) -> RgbdFrame:
@@ -251,12 +245,8 @@ def _texts(content: Mapping[str, Any], name: str) -> tuple[str, ...]:
 
 def write_session(folder: Path, facts: SessionFacts) -> None:
     """Write session.json, whole or not at all. OSError if it cannot be written."""
-    path, beside = folder / SESSION_FILE, folder / f".{SESSION_FILE}.{os.getpid()}.part"
-    try:
+    with written_whole(folder / SESSION_FILE) as beside:
         beside.write_text(json.dumps(session_as_json(facts), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 class SessionRecorder:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from xihenet.estimators.calibration import SHARES_ASKED
+from xihenet.io.whole_files import written_whole
 from xihenet.training.calibration import calibrate_elsewhere, calibrate_network
 from xihenet.training.dataset import CacheSettings, Content, build_cache
 from xihenet.training.loop import TrainSettings, check_trainable, train
@@ -257,10 +258,8 @@ def _named_paths(words: Sequence[str]) -> dict[str, list[Path]]:
 
 def _write(path: Path, text: str) -> None:
     """Whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text(text, encoding="utf-8")
-    beside.replace(path)
+    with written_whole(path) as beside:
+        beside.write_text(text, encoding="utf-8")
 
 
 def _say(line: str) -> None:

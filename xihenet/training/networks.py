@@ -22,6 +22,7 @@ from xihenet.estimators.base import Target
 from xihenet.estimators.lattice_format import LatticeArchitecture, load_weights
 from xihenet.estimators.pointconv_network import PointConvArchitecture, load_pointconv_weights
 from xihenet.estimators.weights_format import NetworkWeights, save_weights
+from xihenet.io.whole_files import written_whole
 from xihenet.nets.lattice import LatticeNet
 from xihenet.nets.pointconv import PointConvNet
 from xihenet.records import ArrayInt
@@ -170,9 +171,8 @@ def load_network(path: Path, device: str = "cpu") -> TrainedNetwork:
 
 def write_torch(path: Path, content: Mapping[str, object]) -> None:
     """Write whole or not at all, in torch's format."""
-    beside = path.with_name(f".{path.name}.part")
-    torch.save(content, beside)
-    beside.replace(path)
+    with written_whole(path) as beside, beside.open("wb") as file:  # Into a path, torch would write its name as well.
+        torch.save(content, file)
 
 
 def read_torch(path: Path, device: str = "cpu") -> dict[str, Any]:

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from xihe_blender.io.outputs import written_whole
 from xihe_blender.lab.rooms.store import StoredRoom, load_room, room_path, stored_indices
 from xihenet.camera import encode_exposed
 from xihenet.io.png import write_png
+from xihenet.io.whole_files import written_whole
 from xihenet.records import ArrayU8
 
 GAP_PX = 4

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xihe_blender.io.outputs import written_whole
 from xihenet.io.npz_files import read_npz
+from xihenet.io.whole_files import written_whole
 from xihenet.mirror_ball import panorama_of_ball
 from xihenet.phone.metering import Metering
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8
