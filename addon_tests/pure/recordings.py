@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from xihenet.captures.values import quaternion_of
+from xihenet.captures.reading.values import quaternion_of
 from xihenet.captures.writing import nerfstudio, record3d, stray, tum
 from xihenet.captures.writing.pictures import Form, confidence_of, enlarged, enlarged_intrinsics, in_y_up, save_depth
 from xihenet.records import Intrinsics, RgbdFrame

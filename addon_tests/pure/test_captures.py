@@ -23,9 +23,10 @@ from addon_tests.pure.recordings import (
 from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
 from xihenet import estimators
-from xihenet.captures import READERS, open_capture
+from xihenet.captures import open_capture
+from xihenet.captures.reading import READERS
+from xihenet.captures.reading.values import rotation_of
 from xihenet.captures.replay import never_in_view, replay
-from xihenet.captures.values import rotation_of
 from xihenet.captures.writing.pictures import in_y_up
 
 AT = (0.4, 0.3, -0.5)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.recordings import as_nerfstudio, as_record3d, as_tum, walk
-from xihenet.captures.values import quaternion_of
+from xihenet.captures.reading.values import quaternion_of
 from xihenet.records import Intrinsics
 
 ROOT = Path(__file__).resolve().parents[2]

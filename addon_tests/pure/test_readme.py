@@ -13,7 +13,7 @@ from xihe_blender.cli.document import TRAINING, WITHOUT_TRAINING, document
 from xihe_blender.cli.main import _parser
 from xihe_blender.io.run_results import METRICS
 from xihenet import __version__, estimators
-from xihenet.captures import READERS
+from xihenet.captures.reading import READERS
 from xihenet.light.platforms import PLATFORMS
 from xihenet.phone import LINKS, PHONE_EFFECTS, profile_names
 

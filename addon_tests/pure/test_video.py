@@ -5,7 +5,7 @@ import pytest
 
 from addon_tests.pure.broken_recordings import cut, move_header_to_the_start
 from addon_tests.pure.recordings import SMALL, as_stray, walk
-from xihenet.captures.video import Video
+from xihenet.captures.reading.video import Video
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no PyAV")
 N = 24

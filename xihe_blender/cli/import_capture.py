@@ -10,7 +10,7 @@ from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihenet.captures import READERS
+from xihenet.captures.reading import READERS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,10 +16,11 @@ from xihe_blender.io.outputs import finite_or_none, write_json, write_together
 from xihe_blender.io.run_lights import write_lights
 from xihe_blender.report.replay import write_replay_report
 from xihenet import __version__, estimators
-from xihenet.captures import READERS, open_capture
+from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
+from xihenet.captures.reading import READERS
 from xihenet.captures.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator

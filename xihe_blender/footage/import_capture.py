@@ -30,9 +30,10 @@ from xihe_blender.scene.phone_capture import (
 )
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import valid_plane_depth
-from xihenet.captures import READERS, open_capture
+from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.checks import steadied, suspicion
+from xihenet.captures.reading import READERS
 from xihenet.captures.scan import FARTHEST_M, Scan
 from xihenet.records import ArrayF64, RgbdFrame
 

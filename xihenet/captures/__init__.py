@@ -1,30 +1,18 @@
-"""Recordings of phones and depth cameras: one file for each format, recognised by what lies there."""
+"""Recordings of phones and depth cameras: opened, checked, replayed, made a mesh."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from xihenet.captures import nerfstudio, plain, polycam, record3d, seven_scenes, stray, tum, xihe_session
 from xihenet.captures.by_hand import set_by_hand
 from xihenet.captures.capture import Capture, n_frames
+from xihenet.captures.reading import READERS
+from xihenet.captures.reading.record3d import SUFFIX
 from xihenet.io.frame_files import off_centre
 
-READERS: dict[str, tuple[Callable[[Path], bool], Callable[[Path, str | None], Capture]]] = {
-    "Xihe session": (xihe_session.is_in, xihe_session.read),
-    "Record3D": (record3d.is_in, record3d.read),
-    "Stray Scanner": (stray.is_in, stray.read),
-    "Polycam": (polycam.is_in, polycam.read),
-    "Nerfstudio": (nerfstudio.is_in, nerfstudio.read),
-    "TUM RGB-D": (tum.is_in, tum.read),
-    "7-Scenes": (seven_scenes.is_in, seven_scenes.read),
-    "plain folder": (plain.is_in, plain.read),
-}
-"""By name, whether a folder, or for Record3D a file, holds one, and how it is read."""
-
-ARCHIVES = (record3d.SUFFIX, ".zip")
+ARCHIVES = (SUFFIX, ".zip")
 N_NAMED = 3
 
 

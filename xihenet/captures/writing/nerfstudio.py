@@ -1,4 +1,4 @@
-"""Frames as Nerfstudio has them; the layout is that of `xihenet.captures.nerfstudio`."""
+"""Frames as Nerfstudio has them; the layout is that of `xihenet.captures.reading.nerfstudio`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from xihenet.captures.nerfstudio import FILE
+from xihenet.captures.reading.nerfstudio import FILE
 from xihenet.captures.writing.pictures import USUAL, Form, Written, colour_bytes, enlarged_intrinsics, save_depth
 from xihenet.records import Intrinsics, RgbdFrame
 

@@ -1,4 +1,4 @@
-"""Frames as the app Record3D has them; the layout is that of `xihenet.captures.record3d`."""
+"""Frames as the app Record3D has them; the layout is that of `xihenet.captures.reading.record3d`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from xihenet.camera import valid_plane_depth
-from xihenet.captures.lzfse_files import EXTRA
-from xihenet.captures.record3d import METADATA
-from xihenet.captures.values import quaternion_of
+from xihenet.captures.reading.lzfse_files import EXTRA
+from xihenet.captures.reading.record3d import METADATA
+from xihenet.captures.reading.values import quaternion_of
 from xihenet.captures.writing.pictures import (
     USUAL,
     Form,

@@ -1,4 +1,4 @@
-"""Frames as the app Stray Scanner has them; the layout is that of `xihenet.captures.stray`.
+"""Frames as the app Stray Scanner has them; the layout is that of `xihenet.captures.reading.stray`.
 
 The video is HEVC, as the app's is, or H.264 where PyAV has no encoder for that: pictures are near what they were, and
 not the same.
@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from xihenet.captures.stray import COLUMNS, INTRINSICS, MATRIX, ODOMETRY, VIDEO
-from xihenet.captures.values import quaternion_of
-from xihenet.captures.video import EXACTLY, EXTRA
+from xihenet.captures.reading.stray import COLUMNS, INTRINSICS, MATRIX, ODOMETRY, VIDEO
+from xihenet.captures.reading.values import quaternion_of
+from xihenet.captures.reading.video import EXACTLY, EXTRA
 from xihenet.captures.writing.pictures import (
     OPENCV_FROM_BLENDER_CAMERA,
     USUAL,

@@ -1,4 +1,4 @@
-"""Frames as the TUM RGB-D benchmark has them; the layout is that of `xihenet.captures.tum`.
+"""Frames as the TUM RGB-D benchmark has them; the layout is that of `xihenet.captures.reading.tum`.
 
 It has no place for intrinsics. Those of another camera than the benchmark's are written beside it, in camera.json,
 which our reader takes; other tools have to be told.
@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.tum import CAMERA, CAMERA_KEYS, FILES, INTRINSICS, METRES_PER_UNIT
-from xihenet.captures.values import quaternion_of
+from xihenet.captures.reading.tum import CAMERA, CAMERA_KEYS, FILES, INTRINSICS, METRES_PER_UNIT
+from xihenet.captures.reading.values import quaternion_of
 from xihenet.captures.writing.pictures import OPENCV_FROM_BLENDER_CAMERA, USUAL, Form, Written, colour_bytes, save_depth
 from xihenet.records import Intrinsics, RgbdFrame
 

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, n_frames
-from xihenet.captures.phone_frame import picture_frame
-from xihenet.captures.values import FARTHEST_M, numbers, pose_numbers, pose_of, times_go_back
+from xihenet.captures.reading.phone_frame import picture_frame
+from xihenet.captures.reading.values import FARTHEST_M, numbers, pose_numbers, pose_of, times_go_back
 from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, camera_facts, frame_camera
 from xihenet.io.json_files import number_in, read_json
 from xihenet.records import ArrayF64

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, inside, n_frames
-from xihenet.captures.phone_frame import picture_frame
-from xihenet.captures.values import numbers, pose_numbers, pose_of
+from xihenet.captures.reading.phone_frame import picture_frame
+from xihenet.captures.reading.values import numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
 from xihenet.io.json_files import read_json
 from xihenet.records import ArrayF64, Intrinsics

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
-from xihenet.captures.phone_frame import Measured, measured, phone_frame, read_confidence, read_measured
-from xihenet.captures.values import intrinsics_of, numbers, pose_of, times_go_back
-from xihenet.captures.video import Video
+from xihenet.captures.reading.phone_frame import Measured, measured, phone_frame, read_confidence, read_measured
+from xihenet.captures.reading.values import intrinsics_of, numbers, pose_of, times_go_back
+from xihenet.captures.reading.video import Video
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.picture_size import check_size
 from xihenet.records import ArrayF64, RgbdFrame

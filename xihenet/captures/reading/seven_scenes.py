@@ -13,7 +13,7 @@ from pathlib import Path
 
 from xihenet.captures.capture import Capture, n_frames
 from xihenet.captures.floor import upright
-from xihenet.captures.phone_frame import picture_frame
+from xihenet.captures.reading.phone_frame import picture_frame
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.records import Intrinsics
 

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from xihenet.captures.archive import MAGIC, Archive, open_archive
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
 from xihenet.captures.floor import upright
-from xihenet.captures.lzfse_files import unpack_lzfse
-from xihenet.captures.phone_frame import confidence_levels, measured, phone_frame
-from xihenet.captures.values import intrinsics_of, numbers, pose_numbers, pose_of, times_go_back
+from xihenet.captures.reading.archive import MAGIC, Archive, open_archive
+from xihenet.captures.reading.lzfse_files import unpack_lzfse
+from xihenet.captures.reading.phone_frame import confidence_levels, measured, phone_frame
+from xihenet.captures.reading.values import intrinsics_of, numbers, pose_numbers, pose_of, times_go_back
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import number_in, parse_json, side_in
 from xihenet.io.picture_size import MOST_PIXELS, same_field

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
-from xihenet.captures.phone_frame import picture_frame
-from xihenet.captures.values import FARTHEST_M
+from xihenet.captures.reading.phone_frame import picture_frame
+from xihenet.captures.reading.values import FARTHEST_M
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import number_in, read_json, side_in
 from xihenet.records import Intrinsics

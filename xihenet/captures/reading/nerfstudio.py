@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from xihenet.captures.capture import Capture, inside, n_frames
-from xihenet.captures.phone_frame import picture_frame
+from xihenet.captures.reading.phone_frame import picture_frame
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.io.json_files import number_in, read_json, side_in
 from xihenet.records import Intrinsics
