@@ -29,12 +29,12 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport import remember_overrides
-from xihe_blender.previs.phone_capture import SURFACE_EFFECTS
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run
 from xihe_blender.previs.required_effects import effects_of_run, plan_phone_effects, positions_in
 from xihe_blender.previs.run_chain import walk_path
 from xihe_blender.previs.settings import load_estimators
+from xihe_blender.previs.simulated_phone import SURFACE_EFFECTS
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.effects import effects_as_json

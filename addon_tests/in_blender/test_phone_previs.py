@@ -12,9 +12,9 @@ from tiny_scenes import room_with_a_virtual_sphere
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.previs.phone_capture import choose_phone, simulate_phone
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import load_estimators
+from xihe_blender.previs.simulated_phone import choose_phone, simulate_phone
 from xihe_blender.previs.survey import survey_path
 from xihenet import estimators
 from xihenet.backend import LocalBackend

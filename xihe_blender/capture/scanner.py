@@ -5,7 +5,7 @@ clipped and encoded to 8 bits as a phone delivers it; plane depth is Cycles' Z p
 
 Chosen: one exposure for the whole session, metered over a few frames of the path before it starts (a locked exposure,
 as AR toolkits recommend for estimation). What a real sensor adds (noise, range, holes, exposure that lags) is added to
-it in `phone_capture`.
+it in `simulated_phone`.
 Paper: section 5, `EnvironmentScanner`.
 """
 

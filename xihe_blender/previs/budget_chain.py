@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from xihe_blender.io.exr import read_radiance
-from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihenet.buffers import FrameAtPosition, merge_in_sight
 from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear

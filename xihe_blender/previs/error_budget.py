@@ -64,11 +64,11 @@ from xihe_blender.previs.budget_looks import (
 from xihe_blender.previs.budget_seeds import N_SEEDS, SeedErrors, over_seeds, with_seed
 from xihe_blender.previs.captured_path import said_of_path
 from xihe_blender.previs.path_renders import render_captures
-from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.plan import Probe, check_is_rendered, made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.budget import write_budget_report
 from xihe_blender.scene.state import scene_kept
 from xihenet import estimators

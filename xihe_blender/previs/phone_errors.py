@@ -14,9 +14,9 @@ import numpy as np
 
 from xihe_blender.io.run_results import FrameResult, PhoneErrors
 from xihe_blender.jobs import Job
-from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
+from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean
 from xihenet.io.recording import load_frame
 from xihenet.metrics import shc_rmse

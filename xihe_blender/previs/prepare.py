@@ -25,10 +25,10 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
-from xihe_blender.previs.phone_capture import CaptureNeeds, ChosenPhone, choose_phone
 from xihe_blender.previs.plan import PrevisPlan, Probe, compared_frames
 from xihe_blender.previs.sample_count import SampleCount, measure_sample_count
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.simulated_phone import CaptureNeeds, ChosenPhone, choose_phone
 from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihenet.effects import Effect, effects_as_json, effects_from_json, plan_effects
 from xihenet.estimators import Estimator

@@ -26,11 +26,11 @@ from xihe_blender.io.run_results import RecordingResult
 from xihe_blender.jobs import Job
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import each_its_own, plan_render_reuse
-from xihe_blender.previs.phone_capture import choose_phone
 from xihe_blender.previs.plan import PrevisPlan, planned_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.simulated_phone import choose_phone
 from xihe_blender.previs.survey import SceneSurvey
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihenet.camera import in_view

@@ -1,6 +1,6 @@
 """Effects that a run of this scene would simulate, before there is one, with what each costs.
 
-A run plans those of its phone from its captures; see `phone_capture`. So the path is captured here as well, with few
+A run plans those of its phone from its captures; see `simulated_phone`. So the path is captured here as well, with few
 samples: distances, edges and angles do not depend on their number, and brightness hardly. What needs no capture (how
 the camera moves, which lights change, how long the path is) is known either way, and is all there is to go by where
 nothing may be rendered, as in the panel: what only a capture could rule out then stays on.
@@ -21,9 +21,15 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport.costs import measure_costs
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.plan import required_effects
-from xihe_blender.previs.phone_capture import CaptureFacts, ChosenPhone, choose_phone, facts_of_capture, simulate_phone
 from xihe_blender.previs.plan import PrevisPlan, Probe, captured_size, planned_frames
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.simulated_phone import (
+    CaptureFacts,
+    ChosenPhone,
+    choose_phone,
+    facts_of_capture,
+    simulate_phone,
+)
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.state import scene_kept

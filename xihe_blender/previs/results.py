@@ -19,10 +19,10 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.io.run_lights import as_coefficients, as_key
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.previs.phone_capture import SimulatedPhone
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.results_notes import mean_object_pixels, notes, recorded_notes, recorded_warnings, warnings
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects

@@ -4,7 +4,7 @@
 
 Each frame that the phone takes in goes through the controller; where an estimation position is in view, light probes
 are rendered and estimates made. The frames of a phone that is not perfect are derived from the captures of the whole
-path, and estimates come back over its network; see `phone_capture`, `xihenet.phone.session`.
+path, and estimates come back over its network; see `simulated_phone`, `xihenet.phone.session`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from xihe_blender.previs.path_renders import (
     true_reflections,
     true_view,
 )
-from xihe_blender.previs.phone_capture import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.simulated_phone import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
 from xihenet.io.recording import load_frame, save_frame
