@@ -52,16 +52,14 @@ def light_changes(
         pictures: dict[bytes, records.ReflectionsResult] = {}
         for frame, light in ((frame, of_all[item.name]) for frame, of_all in lights.items()):
             reflected = None
-            if light.reflections is not None:
-                path = outputs.reflections(index, item.name, len(pictures) + 1)
-                shown = light_of_rough(light).reflections if has_sun else light.reflections
-                assert shown is not None
+            shown = light_of_rough(light).reflections if has_sun else light.reflections
+            if shown is not None:
                 pixels = shown.radiance.tobytes()
                 if pixels not in pictures:
+                    path = outputs.reflections(index, item.name, len(pictures) + 1)
                     write_radiance(path, laid_out(reflection_panorama(shown) / exposure, "+X"))
-                    seen_share = float(light.reflections.seen_share)
                     pictures[pixels] = records.ReflectionsResult(
-                        picture=outputs.relative(path), seen_share=seen_share, has_lamp=not has_sun
+                        picture=outputs.relative(path), seen_share=float(shown.seen_share), has_lamp=not has_sun
                     )
                 reflected = pictures[pixels]
             sh, key = as_coefficients(light.sh), as_key(light.key)
