@@ -1,1 +1,1 @@
-"""Estimated light in Blender: worlds of spherical harmonics, and a live session."""
+"""Estimated light in Blender: worlds of spherical harmonics, suns and pictures, on the timeline; and a live session."""
