@@ -27,7 +27,7 @@ from xihe_blender.io.run_lights import as_rgb
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.captured_path import CapturedPath, capture_path, measured_lights, said_of_path
 from xihe_blender.previs.kept_session import KeptSession, open_kept_session
-from xihe_blender.previs.look_pictures import write_pictures
+from xihe_blender.previs.look_pictures import write_above
 from xihe_blender.previs.placement import PlacementSettings, find_places
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
@@ -108,8 +108,8 @@ def better_path(
         objects=tuple(one.advice for one in found),
     )
     yield Progress(1, 1, "writing the report")
-    pictures = write_pictures(out, [one.seen for one in captured.session.frames], results)
-    write_look_report(out / "report.html", results, pictures)
+    above = write_above(out, [one.seen for one in captured.session.frames], results)
+    write_look_report(out / "report.html", results, above)
     write_json(out / "look.json", as_json(results))
     return results
 

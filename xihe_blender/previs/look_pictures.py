@@ -1,4 +1,4 @@
-"""The pictures of the better path: the room from above with the camera path, and an arrow for each look."""
+"""The picture of the better path: the room from above with the camera path, and an arrow for each look."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ ARROW_M = 0.9
 """Of an arrow that points along the floor; one that points up is shorter, as seen from above."""
 
 
-def write_pictures(folder: Path, frames: Sequence[RgbdFrame], results: LookResults) -> list[Path]:
-    """`above.png`; its path in a list."""
+def write_above(folder: Path, frames: Sequence[RgbdFrame], results: LookResults) -> Path:
+    """`above.png`; its path."""
     path = folder / "pictures" / "above.png"
     cameras = np.array([frame.world_from_camera[:3, 3] for frame in frames])
     objects = np.array([place for one in results.objects for place in one.positions_m]).reshape(-1, 3)
@@ -37,7 +37,7 @@ def write_pictures(folder: Path, frames: Sequence[RgbdFrame], results: LookResul
         if one.look is not None:
             _arrow(room, one.look)
     write_picture(path, room.picture.round().astype(np.uint8))
-    return [path]
+    return path
 
 
 def _arrow(room: RoomFromAbove, look: LookAway) -> None:

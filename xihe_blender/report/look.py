@@ -16,11 +16,9 @@ ABOVE = (
 )
 
 
-def write_look_report(path: Path, results: LookResults, pictures: Sequence[Path]) -> None:
+def write_look_report(path: Path, results: LookResults, above: Path) -> None:
     """One self-contained page."""
-    shown = "".join(
-        f'<img src="{png_url(one.read_bytes())}" alt="{one.stem}" style="max-width: 100%">' for one in pictures
-    )
+    shown = f'<img src="{png_url(above.read_bytes())}" alt="{above.stem}" style="max-width: 100%">'
     sections = [
         ("looks", "Where to look", _sentences(results)),
         ("above", "From above", ABOVE + shown),
