@@ -170,8 +170,10 @@ def test_an_object_of_the_users_with_our_name_is_left_alone(by_hand, tmp_path):
     bpy.context.scene.collection.objects.link(own)
     made = show_placement_map(bpy.context.scene, PLACES, spacing_m=0.5, clearance_m=0.1, folder=tmp_path)
     assert placement_map() == made != own and json.loads(made.data["xihe_placement_map"])["spacing_m"] == 0.5
+    made.name = "Where it is dark"
+    assert placement_map() == made, "whatever it is called"
     remove_placement_map()
-    assert own.name in bpy.data.objects
+    assert own.name in bpy.data.objects and "Where it is dark" not in bpy.data.objects
 
 
 def test_a_height_without_a_place_is_told_in_the_panels_words(scene):

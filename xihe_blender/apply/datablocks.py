@@ -44,8 +44,8 @@ LIGHT_OF = "xihe_light_of"
 """Custom property of a world of ours: the places that its light is of, see `LightOf`."""
 
 
-MAP, MAP_NAME = "xihe_placement_map", "Xihe Placement Map"
-"""Custom property of the mesh of the placement map, see `apply.placement_map`, and the name of its object."""
+MAP = "xihe_placement_map"
+"""Custom property of the mesh of the placement map; see `apply.placement_map`."""
 
 
 FRAME = "xihe_frame"
@@ -109,8 +109,8 @@ def has_anything(scene: bpy.types.Scene) -> bool:
 
 def placement_map() -> bpy.types.Object | None:
     """The placement map of the open file, whatever Blender calls it now."""
-    named = (item for item in bpy.data.objects if item.name.startswith(MAP_NAME) and item.library is None)
-    return next((item for item in named if item.type == "MESH" and MAP in item.data), None)
+    meshes = [mesh for mesh in bpy.data.meshes if MAP in mesh and mesh.library is None]
+    return next((item for item in bpy.data.objects if item.data in meshes), None) if meshes else None
 
 
 def better_path_camera() -> bpy.types.Object | None:

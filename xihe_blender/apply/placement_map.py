@@ -14,12 +14,13 @@ from pathlib import Path
 
 import bpy
 
-from xihe_blender.apply.datablocks import MAP, MAP_NAME, placement_map
+from xihe_blender.apply.datablocks import MAP, placement_map
 from xihe_blender.io.placement_results import N_EXTREMES, Place, best_first, error_range
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 
+NAME = "Xihe Placement Map"
 COLOURS = "Expected Error"
 """The colour attribute; the expected error itself is `expected_error`."""
 
@@ -71,14 +72,14 @@ def show_placement_map(
         around = ((-half, -half), (half, -half), (half, half), (-half, half))
         faces.append(tuple(range(len(corners), len(corners) + 4)))
         corners += [((x + dx) / metres, (y + dy) / metres, bottom / metres) for dx, dy in around]
-    mesh = bpy.data.meshes.new(MAP_NAME)
+    mesh = bpy.data.meshes.new(NAME)
     mesh.from_pydata(corners, [], faces)
     _add_attributes(mesh, places)
     mesh.materials.append(_material())
     order = best_first(places)
     best, worst = tuple(order[:N_EXTREMES]), tuple(order[::-1][:N_EXTREMES])
     mesh[MAP] = json.dumps(asdict(MapOf(str(folder), spacing_m, clearance_m, error_range(places), best, worst)))
-    item = bpy.data.objects.new(MAP_NAME, mesh)
+    item = bpy.data.objects.new(NAME, mesh)
     _hide_from_renders(item)
     scene.collection.objects.link(item)
     return item
@@ -98,7 +99,7 @@ def _add_attributes(mesh: bpy.types.Mesh, places: Sequence[Place]) -> None:
 
 def _material() -> bpy.types.Material:
     """Shines in the colours of the attribute, whatever light there is."""
-    material = new_material(MAP_NAME)
+    material = new_material(NAME)
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
     attribute, emission, output = (
@@ -124,7 +125,7 @@ def remove_placement_map() -> None:
         bpy.data.objects.remove(item)
         bpy.data.meshes.remove(mesh)
         for material in materials:
-            if material is not None and material.name.startswith(MAP_NAME) and not material.users:
+            if material is not None and material.name.startswith(NAME) and not material.users:
                 bpy.data.materials.remove(material)
         item = placement_map()
 
