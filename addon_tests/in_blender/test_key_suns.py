@@ -12,7 +12,7 @@ from renders import pixels_of_file, rendered_picture, rendered_sphere
 from shown_lights import keyed
 from tiny_scenes import box, empty_scene, material, opened, orthographic, phone, sphere
 
-from xihe_blender.apply.datablocks import KEY_LIGHT, SHADOW_CATCHER
+from xihe_blender.apply.datablocks import KEY_LIGHT, SHADOW_CATCHER, applied_worlds
 from xihe_blender.apply.key_suns import (
     applied_suns,
     apply_key_to_sun,
@@ -25,7 +25,7 @@ from xihe_blender.apply.key_suns import (
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_timeline import key_object_light
 from xihe_blender.apply.reflection_pictures import PICTURE, is_shiny, light_called_for
-from xihe_blender.apply.sh_worlds import applied_worlds, apply_sh_to_world, make_sh_world
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.apply.shadow_catchers import catcher_name, shadow_catchers
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.compare.methods import REFLECTION_SAMPLES, open_comparer

@@ -10,9 +10,9 @@ from previs_runs import DRAFT, SMALL, QuickProbes, run, walk
 from results_schema import without_times
 from tiny_scenes import empty_scene, linked, room_with_a_virtual_sphere, saved, set_world, sphere
 
-from xihe_blender.apply.datablocks import LIT_SCENE, lights_by_sh
+from xihe_blender.apply.datablocks import LIT_SCENE, lights_by_sh, world_name
 from xihe_blender.apply.session import XiheController
-from xihe_blender.apply.sh_worlds import sh_node_group, world_name
+from xihe_blender.apply.sh_worlds import sh_node_group
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.errors import UserError

@@ -10,6 +10,7 @@ from renders import rendered
 from tiny_scenes import empty_scene, material, orthographic, sphere
 
 from xihe_blender.apply.applied_lights import lights_of_scene
+from xihe_blender.apply.datablocks import world_name
 from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.reflection_pictures import (
@@ -19,7 +20,7 @@ from xihe_blender.apply.reflection_pictures import (
     reflect_in_world,
     reflect_on_timeline,
 )
-from xihe_blender.apply.sh_worlds import apply_sh_to_world, key_light_changes, make_sh_world, world_name
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, key_light_changes, make_sh_world
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.run_lights import LightsAsked

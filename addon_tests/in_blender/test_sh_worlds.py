@@ -19,7 +19,7 @@ from tiny_scenes import (
 )
 
 from addon_tests.pure.made import constant
-from xihe_blender.apply.datablocks import NODE_GROUP_NAME, lights_by_sh
+from xihe_blender.apply.datablocks import NODE_GROUP_NAME, lights_by_sh, world_name
 from xihe_blender.apply.session import XiheController
 from xihe_blender.apply.sh_worlds import (
     apply_sh_to_world,
@@ -28,7 +28,6 @@ from xihe_blender.apply.sh_worlds import (
     make_sh_world,
     mark_trigger,
     remove_applied_light,
-    world_name,
 )
 from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer

@@ -18,8 +18,8 @@ from tiny_scenes import box, empty_scene, linked, saved
 
 from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.addon.result_operators import viewer_of_run
-from xihe_blender.apply.datablocks import LightOf
-from xihe_blender.apply.sh_worlds import applied_worlds, key_light_changes
+from xihe_blender.apply.datablocks import LightOf, applied_worlds
+from xihe_blender.apply.sh_worlds import key_light_changes
 from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs

@@ -11,7 +11,7 @@ import bpy
 from xihe_blender.addon import choices, polls
 from xihe_blender.addon.failures import FAILURES, Action, format_error
 from xihe_blender.addon.properties import last_run_folder
-from xihe_blender.apply.datablocks import COMPARISON_NAME, LightOf, image_named
+from xihe_blender.apply.datablocks import COMPARISON_NAME, LightOf, applied_worlds, image_named
 from xihe_blender.errors import UserError
 
 
@@ -137,7 +137,6 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         from xihe_blender.apply.applied_lights import lights_of_scene
-        from xihe_blender.apply.sh_worlds import applied_worlds
         from xihe_blender.io.run_lights import LightsAsked, lights_asked, write_lights
         from xihe_blender.io.run_results import read_results
 

@@ -23,10 +23,12 @@ from xihe_blender.apply.datablocks import (
     LIGHT_PREFIX,
     ROOM,
     LightOf,
+    applied_worlds,
     image_named,
     our_images,
     room_of,
     trigger_markers,
+    world_name,
 )
 from xihe_blender.apply.images import write_image
 from xihe_blender.apply.key_suns import key_suns, remove_key_sun
@@ -35,11 +37,9 @@ from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_o
 from xihe_blender.apply.lit_timeline import apply_lights, key_object_light, light_of, reflected_of
 from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
-    applied_worlds,
     make_sh_world,
     remove_applied_light,
     remove_trigger_markers,
-    world_name,
 )
 from xihe_blender.compare.side_by_side import middle_of_change, read_picture, wiped
 from xihe_blender.errors import UserError

@@ -6,9 +6,10 @@ import bpy
 import numpy as np
 from mathutils import Quaternion
 
+from xihe_blender.apply.datablocks import applied_worlds
 from xihe_blender.apply.key_suns import applied_suns
 from xihe_blender.apply.keys import f_curves
-from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, applied_worlds, inputs_of_world, light_curves
+from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, inputs_of_world, light_curves
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_lights import LightsAsked
 from xihe_blender.scene.units import seconds_of

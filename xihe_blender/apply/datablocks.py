@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 
 import bpy
 
+from xihe_blender.scene.virtual_objects import virtual_objects
+
 NODE_GROUP_NAME = "Xihe SH Radiance"
 PREFIX = "Xihe "
 MAX_NAME_BYTES = 63
@@ -91,6 +93,18 @@ def shortened(name: str) -> str:
     if len(whole) <= MAX_NAME_BYTES:
         return name
     return f"{whole[: MAX_NAME_BYTES - 9].decode(errors='ignore')} {zlib.crc32(whole):08x}"
+
+
+def world_name(virtual_object: str) -> str:
+    """Name of the world that lights a virtual object, as `shortened` gives it."""
+    return shortened(f"{PREFIX}{virtual_object}")
+
+
+def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
+    """The world that lights each virtual object of `scene`, for those that have one."""
+    # Of the file itself: one of a linked library may have the same name.
+    found = {item.name: bpy.data.worlds.get((world_name(item.name), None)) for item in virtual_objects(scene)}
+    return {name: world for name, world in found.items() if world is not None}
 
 
 def live_positions() -> dict[str, tuple[float, float | None]]:

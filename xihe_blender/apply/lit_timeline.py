@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.apply import key_suns, sh_worlds
-from xihe_blender.apply.datablocks import LightOf
+from xihe_blender.apply.datablocks import LightOf, world_name
 from xihe_blender.apply.reflection_pictures import forget_reflections, reflect_on_timeline
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import FrameResult, LightChange
@@ -62,7 +62,7 @@ def apply_lights(
     """
     sh_worlds.remove_trigger_markers(scene)
     for name, of_one in changes.items():
-        world = sh_worlds.make_sh_world(sh_worlds.world_name(name))
+        world = sh_worlds.make_sh_world(world_name(name))
         world.use_fake_user = True
         lights = {change.frame: light_of_change(change) for change in of_one}
         key_object_light(world, name, lights, exposure, reflected_of(of_one, folder), has_key_light=has_key_light)

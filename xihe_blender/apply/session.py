@@ -10,7 +10,8 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import ArrayLike
 
-from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world, world_name
+from xihe_blender.apply.datablocks import world_name
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects

@@ -23,13 +23,10 @@ from numpy.typing import ArrayLike
 from xihe_blender.apply.datablocks import (
     MARKER_PREFIX,
     NODE_GROUP_NAME,
-    PREFIX,
     lights_by_sh,
-    shortened,
     trigger_markers,
 )
 from xihe_blender.apply.keys import add_keys, clear_keys, f_curves, hold_keys, remove_animation
-from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.sh import dering_for_display
 
 GAIN = "Gain"
@@ -134,11 +131,6 @@ def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], e
     hold_keys(world.node_tree)
 
 
-def world_name(virtual_object: str) -> str:
-    """Name of the world that lights a virtual object, as `shortened` gives it."""
-    return shortened(f"{PREFIX}{virtual_object}")
-
-
 def mark_trigger(scene: bpy.types.Scene, frame: int, reasons: Iterable[str]) -> None:
     """A timeline marker at `frame` that says why estimates were made there, once per frame."""
     name = f"{MARKER_PREFIX} ({', '.join(sorted(set(reasons)))})"
@@ -163,12 +155,6 @@ def remove_applied_light(scene: bpy.types.Scene) -> None:
     group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
     if group is not None:
         bpy.data.node_groups.remove(group)
-
-
-def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
-    """The world that lights each virtual object of `scene`, for those that have one."""
-    found = {item.name: _local(bpy.data.worlds, world_name(item.name)) for item in virtual_objects(scene)}
-    return {name: world for name, world in found.items() if world is not None}
 
 
 def light_curves(world: bpy.types.World) -> list[tuple[int, bpy.types.FCurve]]:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import bpy
 
-from xihe_blender.apply import key_suns, sh_worlds
-from xihe_blender.apply.datablocks import LIT_SCENE
+from xihe_blender.apply import key_suns
+from xihe_blender.apply.datablocks import LIT_SCENE, applied_worlds
 from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene, show_only_in
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
@@ -43,7 +43,7 @@ def make_lit_scene(
     `surfaces` are those that catch shadows, by object; the scan of a recording does in their place. KeyError for an
     object without a world.
     """
-    found = sh_worlds.applied_worlds(scene)
+    found = applied_worlds(scene)
     worlds = {item.name: found[item.name] for item in objects}
     lit = scene.copy()
     lit.name = LIT_SCENE
