@@ -10,9 +10,8 @@ from shown_lights import keyed
 from tiny_scenes import key, opened, sphere
 
 from xihe_blender.addon import live_light
-from xihe_blender.addon.panels import moved_positions
 from xihe_blender.addon.results_in_blender import apply_results
-from xihe_blender.apply.datablocks import LightOf, lit_scene
+from xihe_blender.apply.datablocks import LightOf, lit_scene, moved_positions
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_scene import ROOM_COPY, keep_added
 from xihe_blender.io.outputs import RunOutputs

@@ -19,7 +19,7 @@ import bpy
 
 from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.runs_folder import last_run
-from xihe_blender.apply.datablocks import live_positions
+from xihe_blender.apply.datablocks import moved_positions
 from xihe_blender.errors import UserError
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -78,7 +78,7 @@ class Overlay:
             self.positions[scene.name] = shown_positions(scene, context.evaluated_depsgraph_get())
         run = last_run(scene.xihe.run_folder)
         coverage = dict(run.last_coverage) if run else {}
-        coverage |= {name: seen for name, (seen, _) in live_positions().items()}
+        coverage |= {name: seen for name, (seen, _) in moved_positions(scene).items()}
         for position, x, y in on_screen(context, self.positions[scene.name]):
             seen = coverage.get(position.name)
             draw_disc(x, y, colour_of(seen))

@@ -25,7 +25,7 @@ from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
-from xihe_blender.apply.datablocks import LightOf, applied_worlds, live_positions
+from xihe_blender.apply.datablocks import moved_positions
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.formats import format_duration
@@ -360,13 +360,6 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.operator_menu_enum("xihe.export_light", "target", text="Export Light")
         row.operator("xihe.open_report", text="Open Report")
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = str(found_folder(settings.run_folder))
-
-
-def moved_positions(scene: bpy.types.Scene) -> dict[str, tuple[float, float | None]]:
-    """`live_positions` of the virtual objects of `scene`: light of one that was renamed or deleted is still there."""
-    lights = [of for world in applied_worlds(scene).values() if (of := LightOf.read(world)) is not None]
-    here = {name for light in lights for name in light.live}
-    return {name: known for name, known in live_positions().items() if name in here}
 
 
 def shown_warnings(run: RunResults) -> list[str]:

@@ -107,10 +107,10 @@ def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
     return {name: world for name, world in found.items() if world is not None}
 
 
-def live_positions() -> dict[str, tuple[float, float | None]]:
-    """Coverage and expected error, by position, of all light in the file that was estimated after a run."""
-    worlds = [world for world in bpy.data.worlds if LIGHT_OF in world and world.library is None]
-    return {name: (live[0], live[1]) for w in worlds if (of := LightOf.read(w)) for name, live in of.live.items()}
+def moved_positions(scene: bpy.types.Scene) -> dict[str, tuple[float, float | None]]:
+    """Coverage and expected error, by position, of light of `scene` that was estimated after a run."""
+    lights = [of for world in applied_worlds(scene).values() if (of := LightOf.read(world)) is not None]
+    return {name: (coverage, error) for light in lights for name, (coverage, error) in light.live.items()}
 
 
 def has_anything(scene: bpy.types.Scene) -> bool:
