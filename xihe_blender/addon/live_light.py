@@ -23,6 +23,7 @@ from xihe_blender.addon.modal_job import redraw
 from xihe_blender.addon.polls import may_move
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.datablocks import LightOf, applied_worlds, lights_by_sh, room_of
+from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.scene.virtual_objects import virtual_objects
 
@@ -68,7 +69,6 @@ def misplaced(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> dict[st
 
     Those that may move along the path are left out.
     """
-    from xihe_blender.errors import UserError
     from xihe_blender.scene.estimation_positions import named_positions
 
     worlds, found = applied_worlds(scene), {}

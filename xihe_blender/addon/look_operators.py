@@ -14,6 +14,7 @@ from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob, redraw
 from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.jobs import Job
 from xihe_blender.scene.virtual_objects import virtual_objects
 
@@ -55,8 +56,6 @@ class XIHE_OT_look_where(polls.Conditional, ModalJob, bpy.types.Operator):
         return looks_of_run(last_run_folder(context.scene), objects)
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.io.json_records import as_json
-
         rows = context.window_manager.xihe.looks
         for advice in result:
             if advice.name in rows:
@@ -83,7 +82,6 @@ class XIHE_OT_add_better_camera(Action, bpy.types.Operator):
     conditions = (polls.is_idle, polls.is_room, polls.has_camera, has_look)
 
     def act(self, context: bpy.types.Context) -> str:
-        from xihe_blender.io.json_records import from_json
         from xihe_blender.io.look_results import LookAway
         from xihe_blender.previs.better_camera import add_better_camera
 

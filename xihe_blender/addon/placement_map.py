@@ -15,14 +15,26 @@ import bpy
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob
-from xihe_blender.addon.overlay import Box, below_others, box_of, draw_text, labels_in, text_width
+from xihe_blender.addon.overlay import (
+    Box,
+    Position,
+    below_others,
+    box_of,
+    draw_disc,
+    draw_text,
+    labels_in,
+    on_screen,
+    text_width,
+)
 from xihe_blender.addon.panels import StagePanel, sentence
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import found_folder
 from xihe_blender.apply.datablocks import placement_map
 from xihe_blender.apply.placement_map import COLOURS, MapOf, remove_placement_map, show_placement_map, shown_place
+from xihe_blender.errors import UserError
 from xihe_blender.io.placement_results import RAMP
 from xihe_blender.jobs import Job
+from xihe_blender.scene.units import metres_per_unit
 
 if TYPE_CHECKING:
     from xihenet.records import ArrayF32
@@ -88,9 +100,6 @@ class XIHE_OT_go_to_place(Action, bpy.types.Operator):
     index: bpy.props.IntProperty(name="Place", description="Number of the place on the map", min=0)
 
     def act(self, context: bpy.types.Context) -> str | None:
-        from xihe_blender.errors import UserError
-        from xihe_blender.scene.units import metres_per_unit
-
         item = placement_map()
         if item is None or self.index >= len(item.data.polygons):
             raise UserError(f"the map has no place {self.index}: make the map again")
@@ -289,12 +298,9 @@ def draw_legend(error_range: tuple[float, float]) -> None:
 
 def draw_ring(context: bpy.types.Context, item: bpy.types.Object) -> None:
     """Around the place that was chosen from the lists."""
-    from xihe_blender.addon.overlay import Position as Marked
-    from xihe_blender.addon.overlay import draw_disc, on_screen
-
     index = context.scene.xihe.map_place
     if 0 <= index < len(item.data.polygons):
-        place = Marked("", tuple(item.data.polygons[index].center))
+        place = Position("", tuple(item.data.polygons[index].center))
         for _, x, y in on_screen(context, [place]):
             draw_disc(x, y, RING)
 
