@@ -39,9 +39,7 @@ def catcher_name(virtual_object: str) -> str:
     return shortened(f"{PREFIX}Shadow {virtual_object}")
 
 
-def catch_shadows(
-    catcher: bpy.types.Object, surfaces: Sequence[Surface], unit_m: float = 1.0, lifted_m: float = 0.0
-) -> None:
+def catch_shadows(catcher: bpy.types.Object, surfaces: Sequence[Surface], unit_m: float, lifted_m: float = 0.0) -> None:
     """Let `catcher`, made by `make_shadow_catcher`, stand for `surfaces`, in place of others.
 
     `unit_m` are metres in a Blender unit; by `lifted_m` they are moved along their normals.

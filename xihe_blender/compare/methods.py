@@ -199,7 +199,7 @@ class Comparer:
         self,
         captured: RgbdFrame,
         lights: Mapping[str, Mapping[str, ObjectLight]],
-        surfaces: Mapping[str, Sequence[Surface]] = MappingProxyType({}),
+        surfaces: Mapping[str, Sequence[Surface]],
     ) -> tuple[dict[str, ArrayF64], ArrayF64, float]:
         """Every method over `captured`, as `render_methods` takes them: pictures (H, W, 3) linear at its exposure, the
         share (H, W) of each pixel that objects cover, and the seconds that Cycles took."""
@@ -429,9 +429,7 @@ def composite(
     return picture, np.clip(weights, 0.0, 1.0)
 
 
-def in_front_of_room(
-    object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF32, tolerance: float = OCCLUSION_TOLERANCE
-) -> ArrayBool:
+def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF32, tolerance: float) -> ArrayBool:
     """(H, W): where an object is nearer than the room, or either is unknown (beside no part of it, through a window).
 
     At a soft edge Cycles gives no plane depth of the object: there it is that of the nearest neighbour.

@@ -101,7 +101,7 @@ def packed(contents: Contents) -> bytes:
     return buffer.getvalue()
 
 
-def project_wheel(checkout: Path = CHECKOUT) -> tuple[str, bytes]:
+def project_wheel(checkout: Path) -> tuple[str, bytes]:
     """File name and content of the wheel. UserError where `checkout` is none."""
     if not all((checkout / name).exists() for name in ("pyproject.toml", "LICENSE")):
         raise UserError(f"{checkout} is no checkout of the project: package it from one")

@@ -79,7 +79,7 @@ def assemble(
     errors: records.PhoneErrors | None,
     file: Path,
     command: str,
-    recording: records.RecordingResult | None = None,
+    recording: records.RecordingResult | None,
 ) -> records.RunResults:
     """The content of results.json.
 

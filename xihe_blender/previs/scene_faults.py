@@ -49,7 +49,7 @@ EMISSION_INPUTS = {
 """By type of node: the inputs that say how brightly it shines. Negative ones take light away."""
 
 
-def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool = True) -> list[Fault]:
+def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool) -> list[Fault]:
     """Light that is negative, objects and vertices that are nowhere, at the frame of `depsgraph`.
 
     Data-blocks without animation are looked at only where `is_first`. UserError for the first lamp or shader with
