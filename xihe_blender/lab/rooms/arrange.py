@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from xihe_blender.lab.rooms.outline import Outline, Point, Rect
+from xihe_blender.lab.rooms.draws import Rng, draw_point, piece_seed, span
+from xihe_blender.lab.rooms.outline import Outline, Point
 from xihe_blender.lab.rooms.room_data import Finish, Hole, Piece, Shell, Size
 
-Rng = np.random.Generator
 TRIES = 20
 DOOR_REACH_M, GAP_M, WALL_GAP_M = 0.9, 0.03, 0.02
 FLAT_M = 0.02  # Lower than this is a rug or a mat: other things stand on it
@@ -65,7 +65,7 @@ class Floor(Shell):
         bounds = self.outline.bounds.grown(-margin_m)
         for _ in range(TRIES):
             x, y = draw_point(rng, bounds)
-            turn = float(rng.uniform(0, 360)) if free_turn else 90.0 * float(rng.integers(4))
+            turn = span(rng, 0, 360) if free_turn else 90.0 * float(rng.integers(4))
             if piece := self.add(Piece(kind, x, y, 0.0, turn, size, finishes, piece_seed(rng)), gap_m):
                 return piece
         return None
@@ -83,21 +83,17 @@ class Floor(Shell):
         self, rng: Rng, support: Piece, kind: str, size: Size, finishes: tuple[Finish, ...], *, free_turn: bool = True
     ) -> None:
         """A small thing on the flat top of another, away from its edge; nothing where it finds no place."""
-        turn = float(rng.uniform(0, 360)) if free_turn else 0.0
+        turn = span(rng, 0, 360) if free_turn else 0.0
         half = (math.hypot(*size[:2]) if free_turn else max(size[:2])) / 2
         across, along = (side / 2 - 0.03 for side in support.size[:2])
         if min(across, along) <= half:
             return
         for _ in range(6):
-            offset = float(rng.uniform(-across + half, across - half)), float(rng.uniform(-along + half, along - half))
+            offset = span(rng, -across + half, across - half), span(rng, -along + half, along - half)
             x, y = local_point(support, offset)
             turned = (support.turn_deg + turn) % 360
             if self.add(Piece(kind, x, y, support.top_m, turned, size, finishes, piece_seed(rng)), 0.01):
                 return
-
-
-def draw_point(rng: Rng, area: Rect) -> Point:
-    return float(rng.uniform(area.x0, area.x1)), float(rng.uniform(area.y0, area.y1))
 
 
 def local_point(piece: Piece, offset: Point) -> Point:
@@ -122,8 +118,3 @@ def blocks_hole(piece: Piece, outline: Outline, holes: tuple[Hole, ...]) -> bool
         if piece.footprint.overlaps(zone) and piece.top_m > hole.bottom - 0.02 and piece.z < hole.top:
             return True
     return False
-
-
-def piece_seed(rng: Rng) -> int:
-    """A seed for what is drawn when the piece is built."""
-    return int(rng.integers(2**31))

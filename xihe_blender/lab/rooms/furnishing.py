@@ -9,7 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from xihe_blender.lab.rooms import palette
-from xihe_blender.lab.rooms.arrange import TRIES, Floor, Rng, local_point, piece_seed
+from xihe_blender.lab.rooms.arrange import TRIES, Floor, local_point
+from xihe_blender.lab.rooms.draws import Rng, one_of, piece_seed, span
 from xihe_blender.lab.rooms.room_data import Finish, Piece, Size
 
 CHAIR = (0.5, 0.57, 0.9)
@@ -22,17 +23,13 @@ Maker = Callable[[Rng, Floor], object]
 Extent = float | tuple[float, float]
 
 
-def span(rng: Rng, low: float, high: float) -> float:
-    return float(rng.uniform(low, high))
-
-
 def furnish(rng: Rng, floor: Floor, kind: str) -> None:
     """Put the furniture of a `kind` of room on `floor`; then what lies on it and hangs on the walls."""
     if rng.random() < 0.97:
         for make, chance in FURNITURE[kind]:
             _make_by_chance(rng, floor, make, chance)
     for _ in range(int(rng.integers(1, 3 + int(floor.outline.area / 5)))):
-        _make_by_chance(rng, floor, *EXTRAS[int(rng.integers(len(EXTRAS)))])
+        _make_by_chance(rng, floor, *one_of(rng, EXTRAS))
     if rng.random() < 0.1:
         add_pillar(rng, floor)
     add_radiators(rng, floor)
@@ -138,7 +135,7 @@ def add_kitchen(rng: Rng, floor: Floor) -> None:
 def _worktop(rng: Rng) -> Finish:
     if rng.random() < 0.4:
         return palette.wood_finish(rng)
-    stone = ((0.08, 0.08, 0.085), (0.5, 0.48, 0.45), (0.75, 0.74, 0.72))[int(rng.integers(3))]
+    stone = one_of(rng, ((0.08, 0.08, 0.085), (0.5, 0.48, 0.45), (0.75, 0.74, 0.72)))
     return Finish("plain", palette.jittered(rng, stone), roughness=span(rng, 0.08, 0.4))
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from xihe_blender.lab.rooms.arrange import Floor, Rng, draw_point
+from xihe_blender.lab.rooms.arrange import Floor
+from xihe_blender.lab.rooms.draws import Rng, draw_point, log_span, one_of, span
 from xihe_blender.lab.rooms.outline import Point, Rect
 from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Daylight, Lamp, Sun
 
@@ -66,16 +67,16 @@ def sample_daylight(rng: Rng, floor: Floor, regime: Regime, *, by_day: bool = Fa
     """A panorama, turned and scaled, and perhaps a sun that shines through a window."""
     sun_chance = max(regime.sun_chance, SUN_BY_DAY) if by_day else regime.sun_chance
     panorama = str(rng.choice(regime.panoramas))
-    radiance = float(np.exp(rng.uniform(*np.log(regime.sky))))
+    radiance = log_span(rng, *regime.sky)
     sun, windows = None, floor.windows
     if windows and rng.random() < sun_chance:
-        x, y = floor.outline.walls[windows[int(rng.integers(len(windows)))].wall].outward
+        x, y = floor.outline.walls[one_of(rng, windows).wall].outward
         azimuth = float(np.degrees(np.arctan2(y, x)) + rng.uniform(-55, 55))
-        warm = float(rng.uniform(0, 1))
+        warm = span(rng, 0, 1)
         tint = (1.0, 0.97 - 0.12 * warm, 0.93 - 0.3 * warm)
-        elevation, over_sky = float(rng.uniform(12, 58)), float(np.exp(rng.uniform(*np.log(SUN_OVER_SKY))))
+        elevation, over_sky = span(rng, 12, 58), log_span(rng, *SUN_OVER_SKY)
         sun = Sun(azimuth, elevation, radiance * over_sky, tint)
-    return Daylight(panorama, float(rng.uniform(0, 360)), radiance / MEAN_RADIANCE[panorama], sun)
+    return Daylight(panorama, span(rng, 0, 360), radiance / MEAN_RADIANCE[panorama], sun)
 
 
 def sample_lamps(rng: Rng, floor: Floor, kind: str, regime: Regime, daylight_in: float) -> tuple[Lamp, ...]:
@@ -95,11 +96,11 @@ def sample_lamps(rng: Rng, floor: Floor, kind: str, regime: Regime, daylight_in:
 
 def _lit(rng: Rng, lamp: Lamp, room_kelvin: float, daylight_in: float) -> Lamp:
     """The lamp switched on: most have the room's colour temperature, some their own."""
-    kelvin = room_kelvin if rng.random() < 0.8 else float(rng.uniform(1500, 7500))
-    watts = float(np.exp(rng.uniform(np.log(12), np.log(60)))) * POWER[lamp.kind]
+    kelvin = room_kelvin if rng.random() < 0.8 else span(rng, 1500, 7500)
+    watts = log_span(rng, 12, 60) * POWER[lamp.kind]
     if lamp.kind not in ("table", "floor"):
         watts *= max(1.0, daylight_in)
-    return replace(lamp, kelvin=kelvin * float(rng.uniform(0.94, 1.06)), watts=watts)
+    return replace(lamp, kelvin=kelvin * span(rng, 0.94, 1.06), watts=watts)
 
 
 def _hung(floor: Floor, kind: str, place: Point, size_m: float) -> Lamp:
@@ -115,12 +116,12 @@ def _ceiling_lamps(rng: Rng, floor: Floor, kind: str) -> list[Lamp]:
     if not places:
         return []
     if kind == "office" or draw < 0.2:
-        return [_hung(floor, "panel", place, float(rng.uniform(0.4, 0.9))) for place in places[:4]]
+        return [_hung(floor, "panel", place, span(rng, 0.4, 0.9)) for place in places[:4]]
     if draw < 0.42:
         return [_hung(floor, "spot", place, 0.09) for place in places[:6]]
     if draw < 0.93:
-        place = (table.x, table.y) if table is not None else places[int(rng.integers(len(places)))]
-        drop = float(rng.uniform(0.35, 0.8)) if table is not None and floor.height > 2.3 else 0.25
+        place = (table.x, table.y) if table is not None else one_of(rng, places)
+        drop = span(rng, 0.35, 0.8) if table is not None and floor.height > 2.3 else 0.25
         return [_hung(floor, str(rng.choice(["pendant", "globe"])), place, drop)]
     return []
 

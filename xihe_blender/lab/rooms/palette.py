@@ -7,11 +7,10 @@ walls are what tints the light. Albedo stays below 0.85.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from xihe_blender.lab.rooms.arrange import Rng
+from xihe_blender.lab.rooms.draws import Rng, one_of, span
 from xihe_blender.lab.rooms.room_data import Colour, Finish
 
 LIGHT_WALLS: tuple[Colour, ...] = (
@@ -44,10 +43,6 @@ TILES: tuple[tuple[Colour, Colour], ...] = (
 )  # fmt: skip
 
 
-def one_of(rng: Rng, options: Sequence[Any]) -> Any:
-    return options[int(rng.integers(len(options)))]
-
-
 def jittered(rng: Rng, colour: Colour, amount: float = 0.12) -> Colour:
     """The colour a little brighter or darker, and a little off in hue."""
     factors = np.exp(rng.normal(0, amount, 1) + rng.normal(0, amount / 3, 3))
@@ -57,12 +52,12 @@ def jittered(rng: Rng, colour: Colour, amount: float = 0.12) -> Colour:
 
 def pick(rng: Rng, colours: Sequence[Colour]) -> Colour:
     """One of the colours, jittered, and faded towards its own grey: most things at home are not as sold."""
-    return jittered(rng, faded(one_of(rng, colours), float(rng.uniform(0.3, 0.9))))
+    return jittered(rng, faded(one_of(rng, colours), span(rng, 0.3, 0.9)))
 
 
 def wall_colour(rng: Rng) -> Colour:
     """A light wall. Nearly grey: light that is reflected five times shows a tint five times as strong."""
-    return jittered(rng, faded(one_of(rng, LIGHT_WALLS), float(rng.uniform(0.4, 0.95))), 0.08)
+    return jittered(rng, faded(one_of(rng, LIGHT_WALLS), span(rng, 0.4, 0.95)), 0.08)
 
 
 def faded(colour: Colour, share: float) -> Colour:
@@ -74,20 +69,20 @@ def faded(colour: Colour, share: float) -> Colour:
 
 def wood_finish(rng: Rng, roughness: float | None = None) -> Finish:
     dark, light = (faded(tone, 0.62) for tone in one_of(rng, WOODS))
-    worn = float(rng.uniform(0.2, 0.6)) if roughness is None else roughness
+    worn = span(rng, 0.2, 0.6) if roughness is None else roughness
     return Finish("wood", jittered(rng, dark), jittered(rng, light), worn)
 
 
 def lacquer_finish(rng: Rng) -> Finish:
     colour = (0.74, 0.74, 0.72) if rng.random() < 0.55 else one_of(rng, CLOTHS)
-    return Finish("plain", jittered(rng, colour), roughness=float(rng.uniform(0.15, 0.6)))
+    return Finish("plain", jittered(rng, colour), roughness=span(rng, 0.15, 0.6))
 
 
 def trim_finish(rng: Rng) -> Finish:
     """Skirting, frames and doors: white, wood, or now and then a colour."""
     draw = rng.random()
     if draw < 0.65:
-        return Finish("plain", jittered(rng, (0.74, 0.74, 0.72), 0.06), roughness=float(rng.uniform(0.2, 0.6)))
+        return Finish("plain", jittered(rng, (0.74, 0.74, 0.72), 0.06), roughness=span(rng, 0.2, 0.6))
     return wood_finish(rng) if draw < 0.88 else lacquer_finish(rng)
 
 
@@ -99,15 +94,15 @@ def board_finish(rng: Rng) -> Finish:
 def cloth_finish(rng: Rng) -> Finish:
     """Upholstery: woven, or leather one time in five."""
     kind = "leather" if rng.random() < 0.2 else "fabric"
-    return Finish(kind, pick(rng, CLOTHS), roughness=float(rng.uniform(0.3, 0.5)), scale=float(rng.uniform(80, 220)))
+    return Finish(kind, pick(rng, CLOTHS), roughness=span(rng, 0.3, 0.5), scale=span(rng, 80, 220))
 
 
 def metal_finish(rng: Rng) -> Finish:
-    return Finish("metal", pick(rng, METALS), roughness=float(rng.uniform(0.08, 0.5)))
+    return Finish("metal", pick(rng, METALS), roughness=span(rng, 0.08, 0.5))
 
 
 def glaze_finish(rng: Rng) -> Finish:
-    return Finish("plain", pick(rng, CLOTHS + LIGHT_WALLS[:4]), roughness=float(rng.uniform(0.05, 0.6)))
+    return Finish("plain", pick(rng, CLOTHS + LIGHT_WALLS[:4]), roughness=span(rng, 0.05, 0.6))
 
 
 def floor_finish(rng: Rng, kind: str) -> Finish:
@@ -118,7 +113,7 @@ def floor_finish(rng: Rng, kind: str) -> Finish:
         dark, light = (faded(tone, 0.7) for tone in one_of(rng, WOODS))
         if rng.random() < 0.5:
             dark, light = np.minimum(0.8, 1.5 * np.array([dark, light]))
-        return Finish("planks", jittered(rng, dark), jittered(rng, light), gloss, float(rng.uniform(0.08, 0.22)))
+        return Finish("planks", jittered(rng, dark), jittered(rng, light), gloss, span(rng, 0.08, 0.22))
     if draw < 0.75:
         first, second = (jittered(rng, tone) for tone in one_of(rng, TILES))
         return Finish("tiles", first, second, gloss, float(rng.choice([0.2, 0.33, 0.6])))
@@ -129,11 +124,11 @@ def floor_finish(rng: Rng, kind: str) -> Finish:
 
 def wall_finishes(rng: Rng, kind: str, n_walls: int) -> tuple[Finish, ...]:
     """One finish for all walls, or an accent wall, or all strong; wet rooms tiled in half of the cases."""
-    base = Finish("paint", wall_colour(rng), roughness=float(rng.uniform(0.5, 0.9)))
+    base = Finish("paint", wall_colour(rng), roughness=span(rng, 0.5, 0.9))
     draw = rng.random()
     if kind in ("bathroom", "kitchen") and draw < 0.5:
         first, second = (jittered(rng, tone) for tone in one_of(rng, TILES))
-        base = Finish("wall tiles", first, second, float(rng.uniform(0.1, 0.4)), 0.2)
+        base = Finish("wall tiles", first, second, span(rng, 0.1, 0.4), 0.2)
     elif draw < 0.09:
         base = Finish("paint", pick(rng, STRONG_WALLS), roughness=0.7)
     elif draw < 0.13:

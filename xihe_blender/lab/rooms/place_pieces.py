@@ -14,6 +14,7 @@ import numpy as np
 from xihe_blender.lab.props import Collection, Material, furniture, surfaces
 from xihe_blender.lab.props.shapes import Place, ball, box, box_between, cylinder, joined, revolved
 from xihe_blender.lab.rooms.arrange import local_point
+from xihe_blender.lab.rooms.draws import span
 from xihe_blender.lab.rooms.materials import material_of
 from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Piece
 
@@ -113,7 +114,7 @@ def _screen(place: Place, piece: Piece, m: list[Material]) -> None:
     place.add(joined(parts), m[0], bevel_m=0.004)
     rng = _generator(piece)
     if rng.random() < 0.35:
-        glow = surfaces.glowing(f"{place.name} picture", 7000.0, float(rng.uniform(0.3, 1.5)))
+        glow = surfaces.glowing(f"{place.name} picture", 7000.0, span(rng, 0.3, 1.5))
         place.add(box((w - 0.03, 0.002, h - 0.1), (0, -0.017, middle)), glow, "picture")
 
 

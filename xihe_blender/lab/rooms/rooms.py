@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from xihe_blender.lab.rooms import palette
-from xihe_blender.lab.rooms.arrange import Floor, Rng
+from xihe_blender.lab.rooms.arrange import Floor
+from xihe_blender.lab.rooms.draws import Rng, span
 from xihe_blender.lab.rooms.furnishing import furnish
 from xihe_blender.lab.rooms.light_plan import DARK, REGIMES, sample_daylight, sample_lamps, sample_regime
 from xihe_blender.lab.rooms.outline import Outline, Point, alcove_plan, box_plan, l_plan, turned
@@ -99,7 +100,7 @@ def sample_shell(rng: Rng, kind: str) -> Shell:
     least, largest = KIND_SIZES[kind]
     outline = sample_outline(rng, (least, least), (largest, largest))
     is_tall = rng.random() < 0.15
-    height = float(rng.uniform(2.8, 3.6)) if is_tall else float(rng.uniform(2.25, 2.8))
+    height = span(rng, 2.8, 3.6) if is_tall else span(rng, 2.25, 2.8)
     bare = Shell(outline, height, sample_slopes(rng, outline), ())
     return replace(bare, holes=sample_holes(rng, bare, int(rng.choice(6, p=[0.05, 0.35, 0.3, 0.17, 0.09, 0.04]))))
 
@@ -109,14 +110,14 @@ def sample_outline(rng: Rng, least: Point, largest: Point) -> Outline:
     width, length = (float(v) for v in rng.uniform(least, largest))
     draw = rng.random()
     if draw < 0.25 and min(width, length) > 3.2:
-        cut = float(rng.uniform(0.25, 0.5)) * width, float(rng.uniform(0.25, 0.5)) * length
+        cut = span(rng, 0.25, 0.5) * width, span(rng, 0.25, 0.5) * length
         plan = l_plan(width, length, cut)
     elif draw < 0.5 and width > 2.6:
-        span = sorted(float(v) for v in rng.uniform(-width / 2 + 0.2, width / 2 - 0.2, 2))
-        middle = (span[0] + span[1]) / 2
-        half = min(max(0.5, (span[1] - span[0]) / 2), width / 2 - 0.2)
+        low, high = sorted(float(v) for v in rng.uniform(-width / 2 + 0.2, width / 2 - 0.2, 2))
+        middle = (low + high) / 2
+        half = min(max(0.5, (high - low) / 2), width / 2 - 0.2)
         middle = float(np.clip(middle, -width / 2 + 0.15 + half, width / 2 - 0.15 - half))
-        plan = alcove_plan(width, length, (middle - half, middle + half), float(rng.uniform(0.4, 1.4)))
+        plan = alcove_plan(width, length, (middle - half, middle + half), span(rng, 0.4, 1.4))
     else:
         plan = box_plan(width, length)
     return turned(plan, int(rng.integers(4)))
@@ -128,11 +129,11 @@ def sample_slopes(rng: Rng, outline: Outline) -> tuple[Slope, ...]:
         return ()
     first = int(rng.integers(4))
     across = outline.walls[(first + 1) % 4].length
-    knee = float(rng.uniform(0.8, 1.7))
+    knee = span(rng, 0.8, 1.7)
     if rng.random() < 0.35:
-        reach = across * float(rng.uniform(0.35, 0.5))
+        reach = across * span(rng, 0.35, 0.5)
         return Slope(first, knee, reach), Slope((first + 2) % 4, knee, reach)
-    return (Slope(first, knee, across * float(rng.uniform(0.3, 0.9))),)
+    return (Slope(first, knee, across * span(rng, 0.3, 0.9)),)
 
 
 def sample_holes(rng: Rng, bare: Shell, n_windows: int) -> tuple[Hole, ...]:
@@ -155,20 +156,20 @@ def sample_holes(rng: Rng, bare: Shell, n_windows: int) -> tuple[Hole, ...]:
 
 def _door(rng: Rng, wall: int, room: float) -> Hole | None:
     """Within the `room` that a wall has along it."""
-    width = float(rng.uniform(0.75, 0.95))
+    width = span(rng, 0.75, 0.95)
     if room < width:
         return None
-    low = CORNER_M + float(rng.uniform(0, room - width))
+    low = CORNER_M + span(rng, 0, room - width)
     return Hole(wall, low, low + width, 0.0, DOOR_TOP_M, is_door=True)
 
 
 def _window(rng: Rng, wall: int, room: float, height: float) -> Hole | None:
-    width = min(float(rng.choice([0.6, 0.9, 1.2, 1.6, 2.2, 3.2])) * float(rng.uniform(0.85, 1.2)), room)
+    width = min(float(rng.choice([0.6, 0.9, 1.2, 1.6, 2.2, 3.2])) * span(rng, 0.85, 1.2), room)
     if width < 0.5:
         return None
-    low = CORNER_M + float(rng.uniform(0, room - width))
-    bottom = 0.05 if rng.random() < 0.18 else float(rng.uniform(0.5, 1.15))
-    top = min(height - 0.15, bottom + 2.3, max(bottom + 0.75, float(rng.uniform(1.9, 2.6))))
+    low = CORNER_M + span(rng, 0, room - width)
+    bottom = 0.05 if rng.random() < 0.18 else span(rng, 0.5, 1.15)
+    top = min(height - 0.15, bottom + 2.3, max(bottom + 0.75, span(rng, 1.9, 2.6)))
     covering = str(rng.choice(["none", "curtains", "sheer", "blind"], p=[0.5, 0.25, 0.12, 0.13]))
     return Hole(wall, low, low + width, bottom, top, False, covering, max(1, round(width / 0.75)))
 

@@ -7,14 +7,14 @@ Chosen over more rooms of the same kind: four times as many of those changed not
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from xihe_blender.lab.rooms import palette
-from xihe_blender.lab.rooms.arrange import Floor, Rng
-from xihe_blender.lab.rooms.furnishing import FURNITURE, MIRROR_GLASS, SUPPORTS, furnish, span
+from xihe_blender.lab.rooms.arrange import Floor
+from xihe_blender.lab.rooms.draws import Rng, log_span, one_of, span
+from xihe_blender.lab.rooms.furnishing import FURNITURE, MIRROR_GLASS, SUPPORTS, furnish
 from xihe_blender.lab.rooms.light_plan import Regime, draw_place, sample_daylight, sample_lamps
 from xihe_blender.lab.rooms.outline import Point
 from xihe_blender.lab.rooms.room_data import Colour, Finish, Lamp, Piece, Room, Shell
@@ -32,6 +32,9 @@ SIZES: dict[str, tuple[Point, Point, Point]] = {
 PANORAMAS = ("city", "courtyard", "forest", "sunset", "sunrise", "night")
 COVERINGS = ("none", "none", "curtains", "sheer", "blind", "slats")
 CLUTTER = ("box", "box", "crate", "ball", "vase", "bowl", "book_pile", "pouf", "plant", "post", "partition", "stairs")
+PATTERNS = (
+    "paint", "plain", "patches", "patches", "wood", "planks", "tiles", "wall tiles", "brick", "fabric", "metal",
+)  # fmt: skip
 TONES = {"white": (0.55, 0.85), "dark": (0.02, 0.15), "any": (0.02, 0.85)}
 """Darkest and brightest mean reflectance of what is painted anew in a room."""
 
@@ -87,14 +90,14 @@ def _sample_shell(rng: Rng, kind: str) -> Shell:
 
 def _sample_regime(rng: Rng, *, has_window: bool) -> Regime:
     """A sky from night to noon. By day lamps are off in half of the rooms, as where windows light the room alone."""
-    sky = float(np.exp(rng.uniform(np.log(0.02), np.log(16.0)))) if has_window else 0.002
+    sky = log_span(rng, 0.02, 16.0) if has_window else 0.002
     lit_chance = 0.9 if sky < 0.5 else float(rng.choice([0.0, 0.0, 0.3, 0.9]))
     return Regime(0.0, (0.8 * sky, sky), PANORAMAS, 0.35 if sky > 1.0 else 0.0, lit_chance)
 
 
 def _soft_regime(rng: Rng) -> Regime:
     """A sky that is as bright as the room or darker."""
-    sky = float(np.exp(rng.uniform(np.log(0.02), np.log(2.0))))
+    sky = log_span(rng, 0.02, 2.0)
     return Regime(0.0, (0.8 * sky, sky), PANORAMAS, 0.0, 0.0)
 
 
@@ -116,7 +119,7 @@ def _sample_lights(rng: Rng, floor: Floor, regime: Regime) -> list[Lamp]:
     """Spots by the dozen, strips, bare bulbs at any height and candles; none where lamps are off."""
     if rng.random() > regime.lit_chance:
         return []
-    watts = float(np.exp(rng.uniform(np.log(2.0), np.log(150.0))))
+    watts = log_span(rng, 2.0, 150.0)
     kind = str(rng.choice(["spot", "strip", "bulb", "candle"]))
     lights = []
     for _ in range(int(rng.choice([1, 2, 4, 8, 16, 30]))):
@@ -124,7 +127,7 @@ def _sample_lights(rng: Rng, floor: Floor, regime: Regime) -> list[Lamp]:
         ceiling = floor.ceiling_at((x, y))
         height = {"bulb": span(rng, 0.3, 1.0) * ceiling, "candle": span(rng, 0.02, 0.5) * ceiling}.get(kind, ceiling)
         size = {"strip": span(rng, 0.3, 0.5), "spot": 0.09, "bulb": span(rng, 0.02, 0.2), "candle": 0.01}[kind]
-        kelvin = 1900.0 if kind == "candle" else float(np.exp(rng.uniform(np.log(1500.0), np.log(15000.0))))
+        kelvin = 1900.0 if kind == "candle" else log_span(rng, 1500.0, 15000.0)
         share = span(rng, 0.5, 2.0) * (0.1 if kind == "candle" else 1.0)
         lights.append(Lamp(kind, x, y, height, size, kelvin, watts * share))
     return lights
@@ -132,7 +135,7 @@ def _sample_lights(rng: Rng, floor: Floor, regime: Regime) -> list[Lamp]:
 
 def add_clutter(rng: Rng, floor: Floor, tones: Point) -> None:
     """One to a hundred pieces of 5 cm to 2 m, on the floor and on what has a flat top."""
-    for _ in range(int(np.exp(rng.uniform(0.0, np.log(100.0))))):
+    for _ in range(int(log_span(rng, 1.0, 100.0))):
         kind = str(rng.choice(CLUTTER))
         w, d, h = np.exp(rng.uniform(np.log(0.06), np.log(0.6), 3)).tolist()
         look = _clutter_look(rng, tones)
@@ -148,7 +151,7 @@ def add_clutter(rng: Rng, floor: Floor, tones: Point) -> None:
         looks = (Finish("foliage", (0.02, 0.07, 0.02), (0.08, 0.2, 0.05)), look) if kind == "plant" else (look,)
         supports = [piece for piece in floor.pieces if piece.kind in SUPPORTS]
         if supports and rng.random() < 0.5:
-            floor.on_top(rng, supports[int(rng.integers(len(supports)))], kind, size_m, looks)
+            floor.on_top(rng, one_of(rng, supports), kind, size_m, looks)
         else:
             floor.anywhere(rng, kind, size_m, looks, free_turn=True)
 
@@ -167,31 +170,18 @@ def _wall_finishes(rng: Rng, n_walls: int, tones: Point) -> tuple[Finish, ...]:
     if rng.random() < 0.4:
         return palette.wall_finishes(rng, "hall", n_walls)
     looks = [any_finish(rng, tones) for _ in range(int(rng.integers(1, 4)))]
-    return tuple(looks[int(rng.integers(len(looks)))] for _ in range(n_walls))
+    return tuple(one_of(rng, looks) for _ in range(n_walls))
 
 
 def any_finish(rng: Rng, tones: Point) -> Finish:
     """Any pattern in any two colours whose mean reflectance lies between `tones`."""
-    kinds = (
-        "paint",
-        "plain",
-        "patches",
-        "patches",
-        "wood",
-        "planks",
-        "tiles",
-        "wall tiles",
-        "brick",
-        "fabric",
-        "metal",
-    )
-    scale = float(np.exp(rng.uniform(np.log(0.08), np.log(0.8))))
+    scale = log_span(rng, 0.08, 0.8)
     colours = any_colour(rng, tones), any_colour(rng, tones)
-    return Finish(str(rng.choice(kinds)), *colours, roughness=span(rng, 0.02, 1.0), scale=scale)
+    return Finish(str(rng.choice(PATTERNS)), *colours, roughness=span(rng, 0.02, 1.0), scale=scale)
 
 
-def any_colour(rng: Rng, tones: Sequence[float]) -> Colour:
+def any_colour(rng: Rng, tones: Point) -> Colour:
     """Grey to strongly coloured, its mean reflectance log-uniform between `tones`."""
     hue = np.exp(rng.normal(0.0, 0.8 * rng.random() ** 2, 3))
-    r, g, b = np.clip(np.exp(rng.uniform(*np.log(tones))) * hue / hue.mean(), 0.01, 0.85).tolist()
+    r, g, b = np.clip(log_span(rng, *tones) * hue / hue.mean(), 0.01, 0.85).tolist()
     return r, g, b

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from xihe_blender.lab.rooms.arrange import Rng, draw_point
+from xihe_blender.lab.rooms.draws import Rng, draw_point, one_of, span
 from xihe_blender.lab.rooms.outline import Rect
 from xihe_blender.lab.rooms.room_data import Piece, Room, Sun
 from xihenet.records import ArrayBool, ArrayF64
@@ -94,9 +94,9 @@ def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
     for n_tried in range(POSITION_TRIES):
         has_tries = n_tried < POSITION_TRIES // 2
         is_over_a_piece = pieces and rng.random() < 0.6
-        area = pieces[int(rng.integers(len(pieces)))].footprint if is_over_a_piece else room.outline.bounds.grown(-0.1)
+        area = one_of(rng, pieces).footprint if is_over_a_piece else room.outline.bounds.grown(-0.1)
         if lit and has_tries and len(found) >= N_POSITIONS - N_BY_LAMP:
-            lamp = lit[int(rng.integers(len(lit)))]
+            lamp = one_of(rng, lit)
             area = Rect.around((lamp.x, lamp.y), (2 * BY_LAMP_M, 2 * BY_LAMP_M))
         position = _draw_position(rng, room, rays, area)
         if position is None or any(np.linalg.norm(position - other) < POSITION_SPACING_M for other in found):
@@ -114,7 +114,7 @@ def sample_positions(rng: Rng, room: Room, rays: RoomRays) -> ArrayF64:
 def _draw_position(rng: Rng, room: Room, rays: RoomRays, area: Rect) -> ArrayF64 | None:
     """A point 5 to 10 cm above whatever is highest below 1.4 m at a random place of `area`, or None."""
     x, y = draw_point(rng, area)
-    lift = float(rng.uniform(0.05, 0.1))
+    lift = span(rng, 0.05, 0.1)
     if not room.outline.holds_rect(Rect.around((x, y), (0.12, 0.12))):
         return None
     surface = rays.floor_below(x, y, min(1.4, room.ceiling_at((x, y)) - 0.1))
@@ -141,7 +141,7 @@ def sample_views(
 
     RoomTooFull if there are not as many.
     """
-    fov_deg = float(rng.uniform(60, 72))
+    fov_deg = span(rng, 60, 72)
     views: list[PhoneView] = []
     n_tries = VIEW_TRIES * n_views // N_VIEWS
     for attempt in range(n_tries):
@@ -162,8 +162,8 @@ def _draw_view(rng: Rng, room: Room, target: ArrayF64 | None, fov_deg: float) ->
     if area.x1 <= area.x0 or area.y1 <= area.y0:
         return None
     x, y = draw_point(rng, area)
-    height = float(rng.uniform(1.0, 1.8))
-    yaw, pitch = float(rng.uniform(0, 2 * math.pi)), math.radians(float(rng.normal(-18, 12)))
+    height = span(rng, 1.0, 1.8)
+    yaw, pitch = span(rng, 0, 2 * math.pi), math.radians(float(rng.normal(-18, 12)))
     roll = math.radians(float(rng.normal(0, 4)))
     if target is not None:
         ahead, below = target[:2] - (x, y), target[2] - height

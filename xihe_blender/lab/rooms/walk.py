@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xihe_blender.lab.rooms.arrange import Rng
+from xihe_blender.lab.rooms.draws import Rng, span
 from xihe_blender.lab.rooms.free_floor import FreeFloor, Route
 from xihe_blender.lab.rooms.room_data import Room
 from xihe_blender.lab.rooms.views import N_PHONE_RAYS, PHONE_CLEARANCE_M, PhoneView, RoomRays, hand_held_pose
@@ -147,14 +147,14 @@ def _goals(rng: Rng, order: list[int]) -> Iterator[Look | Sweep]:
     for i, place in enumerate(itertools.cycle(order), start=1):
         yield Look(place, float(rng.normal(0, 7)), float(rng.normal(5, 5)))
         if i % 2 == 0:
-            yield Sweep(float(rng.choice([-1.0, 1.0]) * rng.uniform(*SWEEP_DEG)), float(rng.uniform(0, 2 * math.pi)))
+            yield Sweep(float(rng.choice([-1.0, 1.0]) * rng.uniform(*SWEEP_DEG)), span(rng, 0, 2 * math.pi))
 
 
 def _walked(
     rng: Rng, route: Route, heights_m: ArrayF64, positions_m: ArrayF64, order: list[int], fov_deg: float
 ) -> list[PhoneView]:
     """The frames of a walk along `route`, there and back again as long as it lasts."""
-    speed_m = min(float(rng.uniform(*SPEED_M_S)), route.length_m / 2)
+    speed_m = min(span(rng, *SPEED_M_S), route.length_m / 2)
     hand_deg = _hand(rng, len(heights_m))
     goals = _goals(rng, order)
     goal, n_frames, n_reached, swept_deg, walked_m, pace = next(goals), 0, 0, 0.0, 0.0, 1.0
