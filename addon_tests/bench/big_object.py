@@ -11,7 +11,6 @@ outer quarters of its length, in the mean over frames.
 from __future__ import annotations
 
 import argparse
-import math
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +22,8 @@ from xihe_blender.compare.methods import display, open_comparer
 from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.props.shapes import add_solid, box, joined
+from xihe_blender.lab.props.surfaces import plain
 from xihe_blender.previs.compare_path import surfaces_known
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
@@ -37,35 +38,19 @@ from xihenet.metrics import image_rmse
 from xihenet.records import ObjectLight
 
 LENGTH_M = 2.2
-BOXES = (  # Middle and size: seat, back and arms.
-    ((0.0, 0.0, 0.22), (LENGTH_M, 0.85, 0.44)),
-    ((0.0, 0.35, 0.55), (LENGTH_M, 0.15, 0.4)),
-    ((-1.02, 0.0, 0.5), (0.16, 0.85, 0.2)),
-    ((1.02, 0.0, 0.5), (0.16, 0.85, 0.2)),
+BOXES = (  # Size and middle: seat, back and arms.
+    ((LENGTH_M, 0.85, 0.44), (0.0, 0.0, 0.22)),
+    ((LENGTH_M, 0.15, 0.4), (0.0, 0.35, 0.55)),
+    ((0.16, 0.85, 0.2), (-1.02, 0.0, 0.5)),
+    ((0.16, 0.85, 0.2), (1.02, 0.0, 0.5)),
 )
 WAYS = ("one", "mean", "each")
 
 
 def add_sofa(scene: bpy.types.Scene, place: tuple[float, float], yaw: float) -> bpy.types.Object:
-    corners, faces = [], []
-    for middle, size in BOXES:
-        first = len(corners)
-        for x, y, z in np.ndindex(2, 2, 2):
-            corners.append(np.array(middle) + (np.array([x, y, z]) - 0.5) * size)
-        own = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-        faces += [tuple(first + k for k in face) for face in own]
-    mesh = bpy.data.meshes.new("Sofa")
-    mesh.from_pydata([corner.tolist() for corner in corners], [], faces)
-    look = bpy.data.materials.new("Cloth")
-    if look.node_tree is None:
-        look.use_nodes = True
-    shader = next(node for node in look.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    shader.inputs["Base Color"].default_value, shader.inputs["Roughness"].default_value = (0.6, 0.6, 0.6, 1), 1.0
-    mesh.materials.append(look)
-    sofa = bpy.data.objects.new("Sofa", mesh)
-    sofa.location, sofa.rotation_euler = (*place, 0.0), (0, 0, math.radians(yaw))
-    virtual_collection(scene, create=True).objects.link(sofa)
-    return sofa
+    sofa, cloth = joined([box(*one) for one in BOXES]), plain("Cloth", (0.6, 0.6, 0.6), roughness=1.0)
+    virtual = virtual_collection(scene, create=True)
+    return add_solid(virtual, "Sofa", sofa, cloth, location=(*place, 0.0), turn_deg=yaw)
 
 
 def in_the_way(light: ObjectLight, way: str) -> ObjectLight:

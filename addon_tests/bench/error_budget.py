@@ -47,6 +47,7 @@ from xihe_blender.io.budget_results import BudgetResults, ObjectBudget
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
+from xihe_blender.lab.props.surfaces import Shader
 from xihe_blender.previs.budget_chain import (
     EVERY_FRAME,
     SessionParts,
@@ -68,7 +69,7 @@ from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.previs.survey import SceneSurvey
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.sphere_rig import sphere_mesh
-from xihe_blender.scene.state import scene_kept
+from xihe_blender.scene.state import scene_kept, show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.io.recording import load_frame
@@ -282,8 +283,7 @@ def true_ball(case: Case, probe_m: np.ndarray, frame: int) -> tuple[np.ndarray, 
         mesh.materials.append(satin_material())
         ball = bpy.data.objects.new("Satin", mesh)
         ball.location = tuple(probe_m / metres)
-        for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
-            setattr(ball, f"visible_{ray}", False)
+        show_to_camera_alone(ball)
         data = bpy.data.cameras.new("Ball")
         data.type, data.ortho_scale, data.clip_start = "ORTHO", 2.1 * BALL_RADIUS_M / metres, BALL_RADIUS_M / metres
         camera = bpy.data.objects.new("Ball", data)
@@ -314,20 +314,12 @@ def true_ball(case: Case, probe_m: np.ndarray, frame: int) -> tuple[np.ndarray, 
 
 
 def satin_material() -> bpy.types.Material:
-    material = bpy.data.materials.new("Satin")
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    mix, output = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeOutputMaterial")
-    matte, cone = tree.nodes.new("ShaderNodeBsdfDiffuse"), tree.nodes.new("ShaderNodeBsdfToon")
-    cone.component = "DIFFUSE"
-    cone.inputs["Size"].default_value, cone.inputs["Smooth"].default_value = CONE, 0.0
-    mix.inputs["Fac"].default_value = 0.5
-    for place, shader in ((1, matte), (2, cone)):
-        shader.inputs["Color"].default_value = (1, 1, 1, 1)
-        tree.links.new(shader.outputs[0], mix.inputs[place])
-    tree.links.new(mix.outputs[0], output.inputs["Surface"])
-    return material
+    satin, white = Shader("Satin"), {"Color": (1.0, 1.0, 1.0)}
+    matte = satin.add("BsdfDiffuse", white)
+    cone = satin.add("BsdfToon", {**white, "Size": CONE, "Smooth": 0.0}, component="DIFFUSE")
+    mixed = satin.add("MixShader", {0: 0.5, 1: matte.outputs[0], 2: cone.outputs[0]})
+    satin.set(satin.output, {"Surface": mixed.outputs[0]})
+    return satin.material
 
 
 def under(light: np.ndarray, normals: np.ndarray) -> np.ndarray:

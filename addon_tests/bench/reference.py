@@ -28,9 +28,11 @@ from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes
 from xihe_blender.capture.scanner import first_layer, meter_exposure, working_room
 from xihe_blender.io.blender_output import only_our_output
+from xihe_blender.lab.props.surfaces import Shader
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.sh import basis, cosine_lobe, irradiance
 from xihenet.sphere import AnchorLattice
@@ -81,18 +83,12 @@ def _triangles(place):
     points = place + 5e-4 * NORMALS[:, None] + 5e-5 * corners
     mesh = bpy.data.meshes.new("Bake")
     mesh.from_pydata(points.reshape(-1, 3).tolist(), [], np.arange(600).reshape(-1, 3).tolist())
-    white = bpy.data.materials.new("White")
-    white.use_nodes = True
-    tree = white.node_tree
-    tree.nodes.clear()
-    shader, output = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("BsdfDiffuse", "OutputMaterial"))
-    shader.inputs["Color"].default_value = (1, 1, 1, 1)
-    tree.links.new(shader.outputs[0], output.inputs["Surface"])
-    mesh.materials.append(white)
+    white = Shader("White")
+    white.set(white.output, {"Surface": white.add("BsdfDiffuse", {"Color": (1.0, 1.0, 1.0)}).outputs[0]})
+    mesh.materials.append(white.material)
     mesh.color_attributes.active_color = mesh.color_attributes.new("Bake", "FLOAT_COLOR", "CORNER")
     target = bpy.data.objects.new("Bake", mesh)
-    for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
-        setattr(target, f"visible_{ray}", False)
+    show_to_camera_alone(target)
     return target
 
 
