@@ -1,9 +1,8 @@
 """Rooms of the data set, small: as settings of a build, and as plans of which nothing is rendered."""
 
-from xihe_blender.lab.rooms.build import BuildSettings
 from xihe_blender.lab.rooms.build_room import build_room
-from xihe_blender.lab.rooms.render_room import RoomRenderSettings
 from xihe_blender.lab.rooms.rooms import room_generator, sample_room
+from xihe_blender.lab.rooms.settings import BuildSettings, RoomRenderSettings
 from xihe_blender.lab.rooms.views import RoomRays, RoomTooFull, sample_positions, sample_views
 
 SMALL = RoomRenderSettings((32, 24), 1, 16, 4, 16)

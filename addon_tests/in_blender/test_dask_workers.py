@@ -3,7 +3,7 @@
 from urllib.request import urlopen
 
 import pytest
-from small_rooms import SMALL, small_build
+from small_rooms import small_build
 
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
@@ -71,7 +71,7 @@ def test_what_the_user_can_mend_is_not_tried_again(scheduler, scripts):
 @pytest.mark.slow
 def test_rooms_made_over_a_scheduler_are_those_of_one_process(scheduler, tmp_path):
     over = small_build(1, scheduler=scheduler)
-    save_room(tmp_path / "here.npz", make_room(5, 0, SMALL))
+    save_room(tmp_path / "here.npz", make_room(over, 0))
     assert run_blocking(build_dataset(tmp_path / "there", over)) == 1
     assert run_blocking(build_dataset(tmp_path / "there", over)) == 0
     assert room_path(tmp_path / "there", 0).read_bytes() == (tmp_path / "here.npz").read_bytes()

@@ -22,9 +22,10 @@ from xihe_blender.lab.rooms import render_room
 from xihe_blender.lab.rooms.build import LEFT_BEHIND_S, build_dataset, missing_rooms, write_manifest
 from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.contact_sheet import contact_sheet
-from xihe_blender.lab.rooms.render_room import RoomRenderSettings, make_room
+from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.room_data import LAMP_KINDS
 from xihe_blender.lab.rooms.rooms import room_generator, sample_room
+from xihe_blender.lab.rooms.settings import RoomRenderSettings
 from xihe_blender.lab.rooms.statistics import light_statistics, panorama_faults, statistics_table
 from xihe_blender.lab.rooms.store import load_room, room_path, save_room, stored_indices
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
@@ -39,8 +40,8 @@ from xihenet.training.rooms import frames_of
 @pytest.fixture(scope="module")
 def rooms():
     """Two, the second one made first."""
-    second = make_room(5, 1, SMALL)
-    return [make_room(5, 0, SMALL), second]
+    second = make_room(small_build(2), 1)
+    return [make_room(small_build(2), 0), second]
 
 
 @pytest.fixture(scope="module")
@@ -187,11 +188,11 @@ def test_a_room_that_is_nearly_black_is_drawn_again(monkeypatch):
         return drawn[-1]
 
     monkeypatch.setattr(render_room, "sample_room", noted)
-    tiny = RoomRenderSettings((16, 12), 1, 16, 1, 16)
-    first = make_room(0, 0, tiny)
+    tiny = replace(small_build(1, seed=0), render=RoomRenderSettings((16, 12), 1, 16, 1, 16))
+    first = make_room(tiny, 0)
     assert len(drawn) == 1
     monkeypatch.setattr(render_room, "MAX_EXPOSURE", first.exposure * 0.99)
-    assert make_room(0, 0, tiny).exposure < first.exposure
+    assert make_room(tiny, 0).exposure < first.exposure
     assert len(drawn) > 1
 
 

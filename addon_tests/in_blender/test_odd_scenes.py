@@ -17,8 +17,8 @@ from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.rooms.render_room import RoomRenderSettings
 from xihe_blender.lab.rooms.scene import add_scene
+from xihe_blender.lab.rooms.settings import RoomRenderSettings
 from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run

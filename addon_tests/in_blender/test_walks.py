@@ -159,12 +159,12 @@ def test_where_there_is_no_floor_to_walk_on_one_stands_and_looks_around():
 @pytest.fixture(scope="module")
 def walk():
     """Room `FIRST` as a walk of three frames."""
-    return make_room(5, FIRST, SMALL, walk=3)
+    return make_room(small_build(1, walk=3), FIRST)
 
 
 @pytest.mark.slow
 def test_a_room_of_a_walk_or_of_more_views_is_the_room_of_the_free_views(walk):
-    free, more = make_room(5, FIRST, SMALL), make_room(5, FIRST, SMALL, views=9)
+    free, more = make_room(small_build(1), FIRST), make_room(small_build(1, views=9), FIRST)
     for name in ("positions_m", "seed"):
         assert getattr(free, name).tobytes() == getattr(walk, name).tobytes() == getattr(more, name).tobytes(), name
     assert more.srgb_u8.shape == (9, 24, 32, 3)

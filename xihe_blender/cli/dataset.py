@@ -49,7 +49,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 
 
 def _build(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
-    from xihe_blender.lab.rooms.build import BuildSettings, build_dataset
+    from xihe_blender.lab.rooms.build import build_dataset
+    from xihe_blender.lab.rooms.settings import BuildSettings
 
     settings = settings_from(options, BuildSettings)
     n_made = run_blocking(build_dataset(options.out, settings), when_news(progress_line(stderr)))

@@ -15,7 +15,6 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from subprocess import DEVNULL, Popen
 from typing import IO, Any
@@ -24,69 +23,19 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import NOT_COMPARED, FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.lab.rooms.render_room import RoomRenderSettings
-from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, room_path, stored_indices
+from xihe_blender.lab.rooms.settings import BuildSettings
+from xihe_blender.lab.rooms.store import room_path, stored_indices
 from xihe_blender.lab.workers.dask_workers import Work, open_dask_workers
 from xihe_blender.lab.workers.one_core import last_line, process_on_one_core
 from xihe_blender.lab.workers.processes import module_command
 from xihenet import __version__
 from xihenet.child_processes import n_cores
-from xihenet.training.rooms import MANIFEST, SPLITS, Split, split_of
+from xihenet.training.rooms import MANIFEST
 
 POLL_S = 0.25
 LEFT_BEHIND_S = 600.0  # A room is written in a second.
-MAX_ROOMS = 1_000_000
-MAX_WALK = 240
-MIN_VIEWS, MAX_VIEWS = 5, 50
 WORKER = "xihe_blender.lab.rooms.worker"
 ROOMS_AT_A_TIME = 8  # That a worker of a scheduler is asked for: half a minute of work for a second of loading Blender
-
-
-@dataclass(frozen=True)
-class BuildSettings:
-    """What to build."""
-
-    n_rooms: int  # room numbers are below this; more may be added later with the same seed
-    seed: int = 0  # of the whole data set, at least 0
-    n_workers: int | None = None  # processes, one thread each; None for one per core of this process
-    render: RoomRenderSettings = field(default_factory=RoomRenderSettings)
-    walk: int | None = None  # frames of a walk in place of the free views; None for free views
-    views: int | None = None  # free views of each room; None for the usual number
-    varied: float = 0.0  # share of the training rooms that are far more varied than homes and offices, 0 to 1
-    by_day: float = 0.0  # share of the training rooms whose lamps are off, by day, where they have windows
-    split: Split | None = None  # make the rooms of this split alone; None for all
-    scheduler: str | None = None  # of Dask, by its address, whose workers make the rooms; None for processes of our own
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.n_rooms <= MAX_ROOMS:
-            raise UserError(f"--rooms {self.n_rooms}: give 1 to {MAX_ROOMS}")
-        if self.seed < 0:
-            raise UserError(f"--seed {self.seed}: give 0 or more")
-        if self.n_workers is not None and self.n_workers < 1:
-            raise UserError(f"--workers {self.n_workers}: give 1 or more")
-        if self.walk is not None and not 2 <= self.walk <= MAX_WALK:
-            raise UserError(f"--walk {self.walk}: give 2 to {MAX_WALK} frames")
-        if self.views is not None and not MIN_VIEWS <= self.views <= MAX_VIEWS:
-            raise UserError(f"--views {self.views}: give {MIN_VIEWS} to {MAX_VIEWS}")
-        if self.views is not None and self.walk is not None:
-            raise UserError("--views and --walk: give one of them")
-        for name, share in (("varied", self.varied), ("by-day", self.by_day)):
-            if not 0 <= share <= 1:
-                raise UserError(f"--{name} {share:g}: give a share between 0 and 1")
-        if self.split is not None and self.split not in SPLITS:
-            raise UserError(f"--split {self.split}: choose one of {', '.join(SPLITS)}")
-        if not self.wanted():
-            raise UserError(f"--rooms {self.n_rooms}: none of these rooms is in the split {self.split}, give more")
-
-    def wanted(self) -> list[int]:
-        return [i for i in range(self.n_rooms) if self.split is None or split_of((self.seed, i)) == self.split]
-
-    @property
-    def provenance(self) -> dict[str, Any]:
-        """What all rooms of a folder share. What the first data sets did not know is named where it is used."""
-        shared = {"format": FORMAT_VERSION, "seed": self.seed, "render": self.render.numbers, "metering": METERING}
-        optional = {"walk": self.walk, "views": self.views, "varied": self.varied, "by_day": self.by_day}
-        return shared | {name: value for name, value in optional.items() if value}
 
 
 def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:

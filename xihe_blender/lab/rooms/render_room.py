@@ -20,6 +20,7 @@ from xihe_blender.capture.scanner import first_layer, open_scanner, phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.rooms import is_by_day, is_varied, room_generator, sample_room, walk_generator
+from xihe_blender.lab.rooms.settings import BuildSettings
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, ArrayF16, StoredRoom, as_float16
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
 from xihe_blender.lab.rooms.views import N_VIEWS, PhoneView, RoomRays, RoomTooFull, sample_positions, sample_views
@@ -28,82 +29,41 @@ from xihenet import __version__
 from xihenet.camera import encode_exposed, in_view, valid_plane_depth
 from xihenet.phone.metering import metered_exposure
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics
-from xihenet.training.rooms import Split, split_of
+from xihenet.training.rooms import split_of
 
 MAX_REDRAWS = 20
 MAX_EXPOSURE = 20.0
 """Above it, a room is nearly black: a probe of few samples does not find what little light there is."""
 
 
-@dataclass(frozen=True)
-class RoomRenderSettings:
-    """Sizes in pixels and samples per pixel. The seed of Cycles is fixed: noise differs by room anyway.
+def make_room(settings: BuildSettings, index: int) -> StoredRoom:
+    """Sample, build and render room `index` of the data set; the open file is replaced.
 
-    The reference probe takes `probe_samples` pictures, of `probe_size` pixels along a side of the mirror ball, an even
-    number; they are stored at half that size. In training rooms it is `train_probe_size`: their noise averages out over
-    the rooms, which cost half as much, and more rooms teach more than cleaner ones. Fewer pictures are taken where the
-    noise has come down to `noise_target`, relative to the light; it is not one of the `numbers`.
-    """
-
-    view_size: tuple[int, int] = (128, 96)
-    view_samples: int = 4
-    probe_size: int = 160
-    probe_samples: int = 2
-    train_probe_size: int = 80
-    noise_target: float | None = None
-
-    @property
-    def view(self) -> RenderSettings:
-        return RenderSettings(self.view_size, self.view_samples)
-
-    def probe(self, split: Split = "test") -> ProbeSettings:
-        size = self.train_probe_size if split == "train" else self.probe_size
-        return ProbeSettings(size, self.probe_samples, self.noise_target)
-
-    @property
-    def numbers(self) -> list[int]:
-        """As the manifest of a folder has them."""
-        return [*self.view_size, self.view_samples, self.probe_size, self.probe_samples, self.train_probe_size]
-
-
-def make_room(
-    seed: int,
-    index: int,
-    settings: RoomRenderSettings,
-    *,
-    walk: int | None = None,
-    views: int | None = None,
-    varied: float = 0.0,
-    by_day: float = 0.0,
-) -> StoredRoom:
-    """Sample, build and render room `index` of the data set with `seed`; the open file is replaced.
-
-    `varied` and `by_day` are shares of the training rooms: far more varied, and lit through windows alone. With `walk`
-    the views are so many frames of a walk, and room, positions and their light are the same as without: the free views
-    are drawn all the same. `views` are that many free ones in place of N_VIEWS. A room that offers too few places, or
-    is nearly black, is drawn again from the same generator.
+    With a walk, room, positions and their light are the same as without: the free views are drawn all the same. A room
+    that offers too few places, or is nearly black, is drawn again from the same generator.
     UserError if Cycles cannot render.
     """
+    seed = settings.seed
     rng = room_generator(seed, index)
-    usual = functools.partial(sample_room, by_day=is_by_day(seed, index, by_day))
-    sample = sample_varied_room if is_varied(seed, index, varied) else usual
+    usual = functools.partial(sample_room, by_day=is_by_day(seed, index, settings.by_day))
+    sample = sample_varied_room if is_varied(seed, index, settings.varied) else usual
     for _ in range(MAX_REDRAWS):
         room = sample(rng)
         scene = build_room(room)
         rays = RoomRays.of(scene)
         try:
             positions_m = sample_positions(rng, room, rays)
-            phone_views = sample_views(rng, room, rays, positions_m, views or N_VIEWS)
+            phone_views = sample_views(rng, room, rays, positions_m, settings.views or N_VIEWS)
         except RoomTooFull:
             continue
-        if walk is not None:
-            phone_views = sample_walk(walk_generator(seed, index), room, rays, positions_m, phone_views, walk)
+        if settings.walk is not None:
+            phone_views = sample_walk(walk_generator(seed, index), room, rays, positions_m, phone_views, settings.walk)
         is_unhidden = np.stack([rays.reach(view.place_m, positions_m) for view in phone_views])
-        pictures = render_views(scene, phone_views, settings.view)
+        pictures = render_views(scene, phone_views, settings.render.view)
         exposure = metered_exposure([p.radiance for p in pictures], METERING) * room.exposure_gain
         if exposure > MAX_EXPOSURE:
             continue
-        probe = settings.probe(split_of((seed, index)))
+        probe = settings.render.probe(split_of((seed, index)))
         lights = list(reference_lights(scene, positions_m, probe, scene.frame_current, exposure))
         return stored_room(pictures, exposure, positions_m, is_unhidden, lights, seed=(seed, index), kind=room.kind,
                            regime=room.regime)  # fmt: skip

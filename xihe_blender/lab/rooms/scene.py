@@ -21,7 +21,8 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms import store
 from xihe_blender.lab.rooms.build import write_manifest
-from xihe_blender.lab.rooms.render_room import Picture, RoomRenderSettings, reference_lights, stored_room, take_picture
+from xihe_blender.lab.rooms.render_room import Picture, reference_lights, stored_room, take_picture
+from xihe_blender.lab.rooms.settings import RoomRenderSettings
 from xihe_blender.lab.rooms.views import RoomRays
 from xihe_blender.previs.plan import plan_previs, planned_frames
 from xihe_blender.previs.scene_faults import faults_at_frame

@@ -15,21 +15,21 @@ from pathlib import Path
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import from_json
-from xihe_blender.lab.rooms.build import BuildSettings
 from xihe_blender.lab.rooms.render_room import make_room
+from xihe_blender.lab.rooms.settings import BuildSettings
 from xihe_blender.lab.rooms.store import room_path, save_room
+from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 
 
 def make_rooms(folder: Path, settings: BuildSettings, rooms: Iterable[int], is_stopped: Callable[[], bool]) -> None:
     """Make the rooms that are not there yet; stops between rooms when told to, or when its parent process is gone."""
     parent = os.getppid()
-    own = {name: getattr(settings, name) for name in ("walk", "views", "varied", "by_day")}
     for index in rooms:
         if is_stopped() or os.getppid() != parent:
             return
         path = room_path(folder, index)
         if not path.exists():
-            save_room(path, make_room(settings.seed, index, settings.render, **own))
+            save_room(path, make_room(settings, index))
 
 
 def main() -> int:
@@ -50,7 +50,7 @@ def main() -> int:
         make_rooms(Path(folder), settings, map(int, numbers.split(",")), lambda: bool(told))
     except (UserError, OSError) as error:
         print(" ".join(str(error).split()), file=sys.stderr)
-        return 2
+        return EXIT_CANNOT_BE_DONE
     return 0
 
 
