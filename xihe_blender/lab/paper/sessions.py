@@ -76,7 +76,7 @@ def recorded_session(file: Path, folder: Path, walk: WalkSettings, seed: int) ->
     facts = kept_json(folder / FACTS_FILE, lambda content: content if _is_whole(content) else None)
     if facts is None:
         facts = yield from _record(file, folder, walk, seed)
-    return load_session(file, folder, facts)
+    return _session(file, folder, facts)
 
 
 def _is_whole(facts: Json) -> bool:
@@ -169,7 +169,7 @@ def _is_steady(scene: bpy.types.Scene, plan: PrevisPlan, frames: Sequence[int]) 
     return all(made_in == frames[0] for made_in in reuse.probes.values())
 
 
-def load_session(file: Path | None, folder: Path, facts: Json) -> Session:
+def _session(file: Path, folder: Path, facts: Json) -> Session:
     """What was recorded in `folder`, with the true light of a steady room."""
     frames: list[RgbdFrame] = [one.read() for one in open_capture(folder).frames]
     positions = [np.array(position_m) for position_m in facts["positions_m"]]
@@ -177,8 +177,7 @@ def load_session(file: Path | None, folder: Path, facts: Json) -> Session:
         read_json(folder / "truth.json")["places"] if facts["is_steady"] else [{}] * len(positions)
     )
     places = [_place(*one, folder) for one in zip(facts["names"], positions, lights, strict=True)]
-    name = file.stem if file else folder.name
-    return Session(name, frames, facts["exposure"], places, file, facts["capture_change"], facts["n_between"])
+    return Session(file.stem, frames, facts["exposure"], places, file, facts["capture_change"], facts["n_between"])
 
 
 def _place(name: str, position_m: ArrayF64, light: dict[str, Json], folder: Path) -> Place:
