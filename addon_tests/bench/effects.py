@@ -50,7 +50,7 @@ def row(name: str, settings: RenderSettings, n_seeds: int) -> str:
     """One scene's line of the table."""
     scene = open_blend(SCENES / f"{name}.blend")
     start = time.perf_counter()
-    required = required_effects(scene, None, positions_in(scene, scene.frame_start))
+    required = required_effects(scene, positions_in(scene, scene.frame_start))
     planning_s = time.perf_counter() - start
     plans = {
         "plan": cycles_settings(plan_effects(required, {})),

@@ -8,10 +8,10 @@ from xihe_blender.light_transport.overrides import overrides_in_force
 from xihenet.effects import plan_effects
 
 
-def plan_light_transport(scene, camera=None, positions=(), *, frames=None, overrides=None):
+def plan_light_transport(scene, positions=(), *, frames=None, overrides=None):
     """The effects of light transport in a run, by `required_effects` and `overrides_in_force`."""
     choices = overrides_in_force(scene, overrides or {})
-    return plan_effects(required_effects(scene, camera, positions, frames=frames), choices)
+    return plan_effects(required_effects(scene, positions, frames=frames), choices)
 
 
 def everything_on(scene, required):

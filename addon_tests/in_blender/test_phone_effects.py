@@ -304,7 +304,7 @@ def test_a_phone_without_a_camera_is_refused():
 def test_light_transport_comes_first_and_the_phone_behind_it():
     scene = room_with_a_virtual_sphere()
     effects = run_blocking(effects_of_run(scene, SESSION, is_measured=False))
-    transport = plan_light_transport(scene, None, positions_in(scene, scene.frame_start), frames=SESSION.frames)
+    transport = plan_light_transport(scene, positions_in(scene, scene.frame_start), frames=SESSION.frames)
     assert effects == transport | announced(scene, is_captured=False)
     rows = json.loads(json.dumps(effects_as_json(effects, with_cost=True), allow_nan=False))
     assert [row["name"] for row in rows] == list(effects) == [*transport, *PHONE_EFFECTS]

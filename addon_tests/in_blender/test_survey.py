@@ -71,7 +71,7 @@ def test_the_survey_notes_what_a_look_at_each_frame_gives():
     assert survey.frames[1].state.camera != survey.frames[2].state.camera
     assert np.linalg.norm(survey.frames[1].motion.velocity_m_per_s) > 0
     assert {"Walls", "Wood", "Light"} <= set(survey.frames[1].roughness)
-    assert survey.required == required_effects(scene, None, positions)
+    assert survey.required == required_effects(scene, positions)
     assert survey.faults == ()
 
 

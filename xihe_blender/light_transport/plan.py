@@ -17,18 +17,14 @@ BOUNCES = ("diffuse_bounces", "glossy_bounces", "transmission_bounces", "volume_
 
 
 def required_effects(
-    scene: bpy.types.Scene,
-    camera: bpy.types.Object | None = None,
-    positions: Sequence[Sequence[float]] = (),
-    *,
-    frames: Sequence[int] | None = None,
+    scene: bpy.types.Scene, positions: Sequence[Sequence[float]] = (), *, frames: Sequence[int] | None = None
 ) -> dict[str, Requirement]:
     """What `scene`, room and virtual objects, itself requires, effect by effect; it stays as it is.
 
-    `camera` and `positions` are as in `TransportSurveyor`; each of `frames` is judged, None takes the scene's range.
+    `positions` are as in `TransportSurveyor`; each of `frames` is judged, None takes the scene's range.
     """
     chosen = range(scene.frame_start, scene.frame_end + 1, scene.frame_step) if frames is None else frames
-    surveyor = TransportSurveyor(list(chosen), positions, camera)
+    surveyor = TransportSurveyor(list(chosen), positions)
     with open_inspection(scene) as inspection:
         for frame in chosen:
             inspection.look_at(frame, surveyor.look_at)

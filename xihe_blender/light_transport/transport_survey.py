@@ -78,13 +78,10 @@ class TransportSurveyor:
     ----------
     frames : that will be looked at
     positions : (K, 3) world, metres: where light probes stand. Empty is legal
-    camera : one whose view counts; None takes the scene's at each frame, markers that switch it included
     """
 
-    def __init__(
-        self, frames: Sequence[int], positions: Sequence[Sequence[float]], camera: bpy.types.Object | None = None
-    ) -> None:
-        self.frames, self.positions, self.camera = frames, positions, camera
+    def __init__(self, frames: Sequence[int], positions: Sequence[Sequence[float]]) -> None:
+        self.frames, self.positions = frames, positions
         self.walked = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
         self.found = TransportSurvey()
         self.placements: set[tuple[int, int]] = set()
@@ -101,7 +98,7 @@ class TransportSurveyor:
         for instance in depsgraph.object_instances:
             n_lights += self._instance(instance)
         self.found.n_lights = max(self.found.n_lights, n_lights)
-        camera = self._evaluated_camera(depsgraph)
+        camera = depsgraph.scene.camera.evaluated_get(depsgraph)
         if camera.type == "CAMERA" and camera.data.dof.use_dof:
             self._note(self.found.defocused, camera.name)
         picture = rays_through_picture(camera, depsgraph.scene)
@@ -126,7 +123,7 @@ class TransportSurveyor:
 
     def walk_room(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Walk light through a graph without virtual objects, as captures and light probes show it."""
-        picture = rays_through_picture(self._evaluated_camera(depsgraph), depsgraph.scene)
+        picture = rays_through_picture(depsgraph.scene.camera.evaluated_get(depsgraph), depsgraph.scene)
         self._walk(depsgraph, rays_all_round(self.positions), picture)
 
     def _leave_out_unreached(self, surfaces: list[str]) -> None:
@@ -146,9 +143,6 @@ class TransportSurveyor:
         if reached or is_known:
             self.found.unreached = [] if reached else surfaces.copy()
             surfaces[:] = reached
-
-    def _evaluated_camera(self, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object:
-        return (self.camera or depsgraph.scene.camera).evaluated_get(depsgraph)
 
     def look_for_movement(self, depsgraph: bpy.types.Depsgraph) -> None:
         self.placements.add(placement(depsgraph.object_instances))

@@ -68,7 +68,7 @@ def effects_of_run(
     choices = overrides_in_force(scene, settings.effect_choices)
     yield Progress(0, 1, "looking at the scene")
     positions = positions_in(scene, frames[0])
-    required = required_effects(scene, None, positions, frames=frames)
+    required = required_effects(scene, positions, frames=frames)
     of_phone = yield from plan_phone_effects(scene, positions, settings, is_captured=is_measured)
     effects = plan_effects(required, choices) | of_phone
     if on_planned is not None:
