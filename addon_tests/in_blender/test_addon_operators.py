@@ -10,9 +10,11 @@ from previs_runs import walk
 from scene_snapshot import snapshot
 from tiny_scenes import add, box, empty_scene, memberships, room_with_a_virtual_sphere
 
+from addon_tests.pure.test_old_runs import FIRST, SECOND, THIRD, make_run
 from xihe_blender.addon.preferences import own_folder, runs_folder
 from xihe_blender.addon.run_settings import previs_settings
 from xihe_blender.addon.runs_folder import new_run_folder
+from xihe_blender.io.old_runs import old_runs, runs_in
 from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.previs.required_effects import effects_of_run
@@ -335,6 +337,17 @@ def test_a_runs_folder_that_cannot_be_made_names_the_preference(tmp_path):
     walk_for_the_panel(tmp_path / "file")
     with pytest.raises(RuntimeError, match="choose another Runs Folder in the add-on's preferences"):
         bpy.ops.xihe.run()
+
+
+def test_remove_old_runs_equals_its_function_and_keeps_what_any_scene_shows(tmp_path):
+    runs = [make_run(tmp_path, name) for name in (THIRD, FIRST, SECOND)]
+    scene, other = empty_scene(), bpy.data.scenes.new("Other")
+    enable_preferences().cache_folder = str(tmp_path)
+    scene.xihe.run_folder, other.xihe.run_folder = str(runs[0]), str(runs[1])
+    assert old_runs(tmp_path, runs[:2]) == [runs[2]]
+    assert bpy.ops.xihe.remove_old_runs() == {"FINISHED"}
+    assert runs_in(tmp_path) == runs[:2]
+    assert poll_message(bpy.ops.xihe.remove_old_runs) == "This file shows every run: there is none to remove"
 
 
 @small_panel_runs()

@@ -347,6 +347,11 @@ def with_a_pillar(scene):
     return box(scene, "Pillar", tuple(middle_m), (0.2, 0.2, 0.5), collection=virtual_collection(scene, create=True))
 
 
+def run_on(scene, out, **settings):
+    """The results of a run on the recording of `scene`."""
+    return from_json(RunResults, run_blocking(previs(scene, out, PrevisSettings(preset="draft", **settings))))
+
+
 @pytest.fixture(scope="module")
 def recorded_run(tmp_path_factory):
     """A run on a recording, with a lens that is off centre: its folder, the recording's, and what was rendered."""
@@ -394,8 +399,7 @@ def test_what_drifted_unsaid_is_followed_as_replay_does_it(tmp_path):
     layout, _ = LAYOUTS["Nerfstudio"]
     # With fewer pixels too few surfaces are seen again.
     layout(tmp_path / "scan", lamp_walk(Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0)))
-    scene = scene_of(tmp_path / "scan", tmp_path)
-    found = from_json(RunResults, run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft"))))
+    found = run_on(scene_of(tmp_path / "scan", tmp_path), tmp_path / "out")
     capture, drift = steadied(open_capture(tmp_path / "scan"))
     assert drift.gains[-1].mean() > 1.1
     positions = {probe.name: np.array(probe.position_m) for probe in found.probes}
@@ -458,8 +462,7 @@ def test_a_run_is_taken_up_again_and_then_done(recorded_run):
 
 def test_objects_that_no_frame_sees_are_asked_about_in_every_frame(tmp_path):
     recording = recorded(tmp_path / "walk", lamp_walk(SMALL)[:2])
-    scene = scene_of(recording, tmp_path)
-    found = from_json(RunResults, run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft"))))
+    found = run_on(scene_of(recording, tmp_path), tmp_path / "out")
     assert [entry.active for entry in found.frames] == [True, True]
 
 
@@ -467,9 +470,7 @@ def test_gaps_and_chosen_frames(tmp_path):
     frames = [replace(frame, time_s=time_s) for frame, time_s in zip(lamp_walk(SMALL), GAPPED_S, strict=True)]
     scene = scene_of(recorded(tmp_path / "walk", frames), tmp_path)
     assert scene.frame_end == 10
-    found = from_json(
-        RunResults, run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft", frames=(6, 7, 8, 9))))
-    )
+    found = run_on(scene, tmp_path / "out", frames=(6, 7, 8, 9))
     assert [entry.frame for entry in found.frames] == [6, 9]
     with pytest.raises(UserError, match="none of these frames"):
         run_blocking(previs(scene, tmp_path / "out", PrevisSettings(frames=(7, 8))))
@@ -599,7 +600,7 @@ def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(tmp_p
     recording = recorded(tmp_path / "walk", lamp_walk(SMALL))
     with registered_addon():
         scene = scene_of(recording, tmp_path)
-        run_blocking(previs(scene, tmp_path / "out", PrevisSettings(preset="draft")))
+        run_on(scene, tmp_path / "out")
         show_results(scene, tmp_path / "out")
         lit = show_lit(scene, tmp_path / "out", "Pillar")
         names = {item.name for item in lit.objects}
@@ -616,8 +617,8 @@ def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(tmp_p
 @pytest.mark.parametrize("light", ["sh", "sh+key+reflections"])
 def test_other_estimators_and_parts_of_light_are_composited_too(tmp_path, light):
     scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
-    settings = PrevisSettings(preset="draft", light=light, others=("projection",), captured="in-view", network="wifi")
-    found = from_json(RunResults, run_blocking(previs(scene, tmp_path / "out", settings)))
+    choices = {"others": ("projection",), "captured": "in-view", "network": "wifi"}
+    found = run_on(scene, tmp_path / "out", light=light, **choices)
     last = found.frames[-1]
     assert set(last.composited) == {"lattice", "projection"}
     pictures = [read_picture(tmp_path / "out" / last.composited[name]) for name in ("lattice", "projection")]

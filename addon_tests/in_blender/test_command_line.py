@@ -353,6 +353,9 @@ MISTAKES = {
         "": "SCENE.blend",
         "README.md --seed -1": "seed of -1",
     },
+    "paper --out {out} ": {
+        "--scenes {folder}/text.blend": "is not a .blend file",
+    },
     "dataset build --out {out} ": {
         "--rooms 0": "give 1 to",
         "--rooms many": "--rooms",

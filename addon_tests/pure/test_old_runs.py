@@ -4,10 +4,7 @@ import os
 import time
 from pathlib import Path
 
-import bpy
 import pytest
-from addon_runs import enable_preferences, poll_message, registered_addon
-from tiny_scenes import empty_scene
 
 from xihe_blender.io.old_runs import ABANDONED_S, format_old_runs, old_runs, remove_old_runs, runs_in
 from xihe_blender.io.outputs import RunOutputs
@@ -69,14 +66,3 @@ def test_the_space_that_runs_take_is_said(tmp_path):
     assert format_old_runs([one]) == "1 run, 2.3 MB"
     other = make_run(tmp_path, SECOND, n_bytes=20_000_000)
     assert format_old_runs([one, other]) == "2 runs, 22 MB"
-
-
-def test_the_button_equals_its_function_and_keeps_what_any_scene_shows(tmp_path, runs):
-    with registered_addon():
-        scene, other = empty_scene(), bpy.data.scenes.new("Other")
-        enable_preferences().cache_folder = str(tmp_path)
-        scene.xihe.run_folder, other.xihe.run_folder = str(runs[0]), str(runs[1])
-        assert old_runs(tmp_path, runs[:2]) == [runs[2]]
-        assert bpy.ops.xihe.remove_old_runs() == {"FINISHED"}
-        assert runs_in(tmp_path) == runs[:2]
-        assert poll_message(bpy.ops.xihe.remove_old_runs) == "This file shows every run: there is none to remove"

@@ -1,0 +1,29 @@
+"""The evaluation of the paper walks a scene's path in as many frames as it wants."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+from previs_runs import walk
+from tiny_scenes import saved
+
+from xihe_blender.capture.scanner import phone_camera
+from xihe_blender.lab.paper.sessions import QUICK_WALK, open_walk, planned_walk
+from xihe_blender.scene.units import seconds_of
+
+
+def test_a_path_of_few_frames_is_walked_in_more_of_them_over_the_same_places_in_the_same_time(tmp_path):
+    walk()
+    file = saved(tmp_path / "walk.blend")
+    poses, times_s = {}, {}
+    for n_between in (1, 4):
+        scene = open_walk(file, n_between)
+        for frame in range(scene.frame_start, scene.frame_end + 1):
+            scene.frame_set(frame)
+            where = poses.setdefault(n_between, [])
+            where.append(phone_camera(scene)[1])
+            times_s.setdefault(n_between, []).append(seconds_of(scene, frame))
+    np.testing.assert_allclose(poses[4][::4], poses[1], atol=1e-6)
+    np.testing.assert_allclose(times_s[4][::4], times_s[1])
+    assert all(np.abs(a - b).max() > 0 for a, b in itertools.pairwise(poses[4]))
+    assert len(planned_walk(file, replace(QUICK_WALK, n_frames=20), 0)[3]) == len(poses[4])

@@ -1,0 +1,40 @@
+"""The choices that `xihe frontier` measured, as points: which are on a front, which differ in one choice, how drawn."""
+
+from dataclasses import replace
+
+from xihe_blender.lab.frontier.points import Measured, family, group, groups, points_of
+from xihe_blender.lab.frontier.records import ChoiceSettings, RenderChoice
+from xihe_blender.lab.frontier.report import pareto_plot
+
+
+def measured(label, error, ms, preset=None):
+    choice = ChoiceSettings(rendering=RenderChoice((8, 6), int(ms)))
+    return Measured(label, choice, {"coefficients": (error**2,) * 3}, (ms, ms, ms), preset)
+
+
+def test_points_are_judged_within_scene_front_and_kind():
+    fronts = {
+        "render": [measured("a", 0.1, 10), measured("b", 0.2, 20, "draft"), measured("c", 0.0, 30)],
+        "compute": [replace(measured("b", 0.2, 20), square_errors={"coefficients": (0.04,), "irradiance": (0.01,)})],
+    }
+    points = points_of("room", fronts, seed=0)
+    fronts_and_kinds = (("render", "coefficients"), ("compute", "coefficients"), ("compute", "irradiance"))
+    assert groups(points) == [("room", *each) for each in fronts_and_kinds]
+    told = {p.label: (p.on_front, p.instead, p.preset) for p in group(points, *groups(points)[0])}
+    assert told == {"a": (True, None, None), "b": (False, "a", "draft"), "c": (True, None, None)}
+    assert all(p.on_front for p in points if p.front == "compute")
+
+
+def test_a_plot_has_a_mark_for_every_choice_and_escapes_its_words():
+    points = points_of("room", {"render": [measured("<a>", 0.1, 10, "draft"), measured("zero", 0, 30)]}, seed=0)
+    drawn = pareto_plot(points, "title", "about")
+    assert drawn.count("<title>") == 2 and "<a>" not in drawn and ">draft<" in drawn
+    assert "nan" not in drawn and "inf" not in drawn.replace("infinite", "")
+    assert "Nothing was measured" in pareto_plot([], "title", "about")
+
+
+def test_a_family_differs_in_one_choice_and_no_other():
+    other = replace(measured("other", 0.1, 9), settings=ChoiceSettings(rendering=RenderChoice((4, 3), 8)))
+    points = points_of("room", {"render": [*(measured(f"{n}", 0.1, n) for n in (4, 2, 1)), other]}, seed=0)
+    assert [p.settings.rendering.samples for p in family(points, ("samples",))] == [1, 2, 4]
+    assert family(points, ("max_bounces",)) == family(points[:1], ("samples",)) == []
