@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.cloud_batches import nasty_clouds, random_clouds
 from addon_tests.pure.made import frame_of
 from addon_tests.pure.weights_files import changed_file, random_arrays, with_arrays, with_header, without
 from xihenet.colour import linear_to_srgb
@@ -41,27 +42,6 @@ def weights_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("weights") / "random.npz"
     save_weights(path, random_weights(1))
     return path
-
-
-def random_clouds(n, seed=0, n_clouds=6):
-    rng = np.random.default_rng(seed)
-    is_set = rng.random((n_clouds, n)) < rng.random((n_clouds, 1))
-    srgb = (rng.random((n_clouds, n, 3)) * is_set[..., None]).astype(np.float32)
-    return srgb, (rng.random((n_clouds, n)) * 6 * is_set).astype(np.float32), is_set
-
-
-def nasty_clouds(n):
-    """Nothing set, one anchor, black, white, one bright in black, far and near beyond measure, sky and a lamp."""
-    is_set = np.ones((8, n), bool)
-    is_set[0] = False
-    is_set[1] = np.arange(n) == n // 3
-    srgb = np.full((8, n, 3), 0.5, np.float32)
-    srgb[2], srgb[3], srgb[4] = 0, 1, 0
-    srgb[4, 7] = 1
-    distance_m = np.ones((8, n), np.float32)
-    distance_m[5], distance_m[6] = 3e38, 0
-    srgb[7, : n // 4], distance_m[7, : n // 5] = 1, FAR_M
-    return srgb * is_set[..., None], distance_m * is_set, is_set
 
 
 @pytest.mark.parametrize("n", SIZES)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from addon_tests.pure.cloud_batches import ALIKE, NASTY, nasty_clouds, random_clouds
 from addon_tests.pure.weights_files import changed_file, random_arrays, with_header
 from xihenet.backend import LocalBackend, estimate_light
 from xihenet.estimators.base import EstimateContext
@@ -32,15 +33,8 @@ def files(tmp_path_factory):
     return paths
 
 
-def random_clouds(seed=0, n_clouds=6, n=N):
-    rng = np.random.default_rng(seed)
-    is_set = rng.random((n_clouds, n)) < np.linspace(0.1, 1, n_clouds)[:, None]
-    srgb = rng.random((n_clouds, n, 3)) * is_set[..., None]
-    return srgb.astype(np.float32), (rng.random((n_clouds, n)) * 5 * is_set).astype(np.float32), is_set
-
-
 def test_pointar_knows_no_light_without_a_point_in_the_frame_whatever_was_seen_before(files):
-    estimator, cloud = PointAR(N, weights=files["pointar"]), UnitSphereCloud(*(part[5] for part in random_clouds()))
+    estimator, cloud = PointAR(N, weights=files["pointar"]), UnitSphereCloud(*(part[5] for part in random_clouds(N)))
     seen = PointCloud([[1.0, 2.0, 3.0], [np.nan] * 3], [[0.5] * 3] * 2)
     blind = PointCloud([[np.nan] * 3, [1.0, 2.0, 3.0]], [[0.5] * 3, [np.inf] * 3])
     reasons = [
@@ -51,26 +45,15 @@ def test_pointar_knows_no_light_without_a_point_in_the_frame_whatever_was_seen_b
     assert not light.is_valid and light.unknown_because == "no_points" and not light.sh_radiance.any()
 
 
-def nasty_clouds(n=N):
-    """Nothing set, one anchor, black, white, all at no distance, too far, one far and the rest near, fewer than k."""
-    is_set = np.ones((8, n), bool)
-    is_set[0], is_set[1], is_set[7] = False, np.arange(n) == 5, np.arange(n) < 6
-    rng = np.random.default_rng(1)
-    srgb, distance_m = rng.random((8, n, 3)).astype(np.float32), rng.uniform(1, 3, (8, n)).astype(np.float32)
-    srgb[2], srgb[3] = 0, 1
-    distance_m[4], distance_m[5], distance_m[6, 0] = 0, 3e38, 6e4
-    return srgb * is_set[..., None], distance_m * is_set, is_set
-
-
 def test_nasty_clouds_give_finite_light_and_no_clouds_none(files):
     estimator = XiheNet(N, weights=files["xihenet"])
-    light = estimator.estimate_batch(*nasty_clouds())
-    assert light.shape == (8, 9, 3) and np.isfinite(light).all()
-    assert estimator.estimate_batch(*(part[:0] for part in nasty_clouds())).shape == (0, 9, 3)
+    light = estimator.estimate_batch(*nasty_clouds(N))
+    assert light.shape == (len(NASTY + ALIKE), 9, 3) and np.isfinite(light).all()
+    assert estimator.estimate_batch(*(part[:0] for part in nasty_clouds(N))).shape == (0, 9, 3)
 
 
 def test_what_stands_at_unset_anchors_changes_nothing(files):
-    srgb, distance_m, is_set = random_clouds(6)
+    srgb, distance_m, is_set = random_clouds(N, 6)
     estimator = XiheNet(N, weights=files["xihenet"])
     light = estimator.estimate_batch(srgb, distance_m, is_set)
     for colour, metres in ((0.9, 3.0), (np.nan, -7.0)):
@@ -80,7 +63,7 @@ def test_what_stands_at_unset_anchors_changes_nothing(files):
 
 @pytest.mark.parametrize(("part", "value"), [(0, np.nan), (0, 1.5), (1, np.inf), (1, -1.0), (1, np.nan)])
 def test_input_out_of_range_is_refused(files, part, value):
-    clouds = [array.copy() for array in random_clouds()]
+    clouds = [array.copy() for array in random_clouds(N)]
     clouds[2][2, 5] = True
     clouds[part][2, 5] = value
     with pytest.raises(ValueError, match="expected"):
@@ -89,7 +72,7 @@ def test_input_out_of_range_is_refused(files, part, value):
 
 def test_another_number_of_anchors_is_refused(files):
     with pytest.raises(ValueError, match="n = 512"):
-        XiheNet(512, weights=files["xihenet"]).estimate_batch(*random_clouds())
+        XiheNet(512, weights=files["xihenet"]).estimate_batch(*random_clouds(N))
 
 
 def raw_points(n=2000, seed=0):
@@ -140,7 +123,7 @@ def test_pointar_says_what_it_needs(files):
     with pytest.raises(ValueError, match="three finite numbers"):
         light_of(estimator, raw_points(), (np.nan, 0, 0))
     with pytest.raises(ValueError, match="clouds of anchors no longer hold"):
-        estimator.estimate_batch(*random_clouds())
+        estimator.estimate_batch(*random_clouds(N))
 
 
 CHANGES = {
@@ -179,7 +162,7 @@ def test_points_that_stand_where_another_stands_are_no_centroids_of_their_own():
 
 
 def test_the_order_of_the_points_changes_nothing(files):
-    srgb, distance_m, is_set = (part[4] for part in random_clouds())
+    srgb, distance_m, is_set = (part[4] for part in random_clouds(N))
     estimator = XiheNet(N, weights=files["xihenet"])
     light = estimator.estimate(UnitSphereCloud(srgb, distance_m, is_set))
     points = AnchorLattice(N).directions.astype(np.float32) * distance_m[:, None]

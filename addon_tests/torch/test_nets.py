@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from addon_tests.pure.test_lattice import nasty_clouds, random_clouds
+from addon_tests.pure.cloud_batches import nasty_clouds, random_clouds
 from xihenet.colour import srgb_to_linear
 from xihenet.estimators.lattice import Lattice, given_light
 from xihenet.estimators.lattice_format import load_weights

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from addon_tests.pure.test_pointconv import light_of, nasty_clouds, random_clouds, raw_points
+from addon_tests.pure.cloud_batches import NASTY, nasty_clouds, random_clouds
+from addon_tests.pure.test_pointconv import light_of, raw_points
 from xihenet.estimators.pointconv import PointAR, XiheNet
 from xihenet.estimators.pointconv_network import PointConvArchitecture, load_pointconv_weights
 from xihenet.estimators.weights_format import save_weights
@@ -99,21 +100,21 @@ def gradients(net, light):
 @pytest.mark.parametrize("options", [{}, {"centroids": (48, 12), "n_neighbours": 32}, {"keeps_unset_at_origin": True}])
 def test_the_fast_form_gives_what_the_plain_form_gives(options):
     net = fresh_net(**options)
-    # Without those whose points lie at one place or at one distance: which of them comes first is nobody's matter.
-    for parts in (random_clouds(), [part[[0, 1, 2, 3, 6, 7]] for part in nasty_clouds()]):
+    # Without those with many points at one place or at one distance: which of them comes first is nobody's matter.
+    for parts in (random_clouds(N), nasty_clouds(N, NASTY)):
         parts = as_points(*parts)
         with torch.no_grad():
             np.testing.assert_allclose(net(*parts).numpy(), plain_network(net, *parts).numpy(), atol=1e-5)
 
 
 def test_the_fast_form_has_the_gradients_of_the_plain_form():
-    net, parts = fresh_net(), as_points(*random_clouds(3))
+    net, parts = fresh_net(), as_points(*random_clouds(N, 3))
     fast, plain = gradients(net, net(*parts)), gradients(net, plain_network(net, *parts))
     assert float((fast - plain).norm()) < 1e-5 * float(plain.norm())
 
 
 def test_bfloat16_changes_training_a_little_and_estimates_not_at_all():
-    parts = as_points(*random_clouds(5))
+    parts = as_points(*random_clouds(N, 5))
     exact, halved = fresh_net(), fresh_net(is_bfloat16_in_training=True)
     a, b = gradients(exact, exact(*parts)), gradients(halved, halved(*parts))
     assert 1e-5 < float((a - b).norm() / a.norm()) < 0.1
@@ -131,7 +132,7 @@ def test_the_files_arrays_are_those_of_the_network():
 def test_the_estimator_gives_what_the_network_gives(files):
     path, net = files["xihenet"]
     estimator = XiheNet(N, weights=path)
-    for parts in (random_clouds(n_clouds=20), [part[[0, 1, 2, 3, 6, 7]] for part in nasty_clouds()]):
+    for parts in (random_clouds(N, n_clouds=20), nasty_clouds(N, NASTY)):
         batch = estimator.estimate_batch(*parts)
         with torch.no_grad():
             np.testing.assert_allclose(batch, net(*as_points(*parts)).numpy(), atol=1e-5)
@@ -164,7 +165,7 @@ def test_the_papers_network_fits_into_four_megabytes_and_half_precision_changes_
     torch.manual_seed(1)
     net = PointConvNet().eval()
     save_weights(tmp_path / "half.npz", weights_of(net, "hdr", estimator="xihenet"), is_half=True)
-    parts = random_clouds(n_clouds=2)
+    parts = random_clouds(N, n_clouds=2)
     with torch.no_grad():
         exact = net(*as_points(*parts)).numpy()
     half = XiheNet(N, "hdr", weights=tmp_path / "half.npz").estimate_batch(*parts)
