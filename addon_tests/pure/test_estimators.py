@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from addon_tests.pure.made import constant, frame_of
+from addon_tests.pure.made import constant, frame_of, random_cloud
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext
@@ -48,6 +48,16 @@ def test_every_estimator_gives_finite_light_of_whatever_was_seen_and_the_same_in
         arrays = (np.array([getattr(cloud, part) for cloud in clouds]) for part in ("srgb", "distance_m", "is_set"))
         singles = [estimator.estimate(cloud) for cloud in clouds]
         np.testing.assert_allclose(estimator.estimate_batch(*arrays), singles, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["lattice", "xihenet"])
+def test_what_is_beyond_the_farthest_distance_is_taken_for_that(name):
+    estimator, cloud = estimators.load(name, N), random_cloud(np.random.default_rng(0), N)
+    lights = []
+    for far_m in (estimator.farthest_m, 3e38):
+        distance_m = np.where(cloud.is_set & (np.arange(N) % 16 == 0), far_m, cloud.distance_m)
+        lights.append(estimator.estimate(UnitSphereCloud(cloud.srgb, distance_m, cloud.is_set)))
+    np.testing.assert_array_equal(*lights)
 
 
 @pytest.mark.parametrize("name", estimators.names())
