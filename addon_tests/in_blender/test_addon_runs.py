@@ -168,6 +168,7 @@ def test_a_run_that_was_lost_with_the_open_file_is_offered_until_a_scene_shows_i
     bpy.ops.ed.undo_push(message="Start")
     assert bpy.ops.xihe.resume_run("EXEC_DEFAULT", True) == {"FINISHED"}
     assert bpy.context.scene.xihe.run_folder == str(later) and job.unshown_run == ""
+    assert bpy.context.scene.xihe.run_made_of.endswith("on 1970-01-01"), "edits before it was taken up are not known"
     bpy.ops.ed.undo()
     assert bpy.context.scene.xihe.run_folder == "" and job.unshown_run == str(later)
     bpy.ops.ed.redo()

@@ -79,7 +79,7 @@ class BackgroundRun:
     Parameters
     ----------
     process : None for a run that another Blender has begun
-    is_edited : whether the open scene was changed since
+    is_edited : whether the open scene was changed since, or may have been while nobody looked, as before a Resume
     """
 
     folder: Path

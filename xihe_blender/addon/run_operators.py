@@ -51,7 +51,8 @@ class Following(ModalJob):
         chosen = (self.scene if run is None else run.find_scene()).xihe
         chosen.run_folder, chosen.run_made_of = str(self.folder), ""
         if run is not None and run.is_edited:
-            chosen.run_made_of = time.strftime("%H:%M", time.localtime(run.request.started))
+            began, today = time.localtime(run.request.started), time.localtime()
+            chosen.run_made_of = time.strftime("%H:%M" if began[:3] == today[:3] else "%H:%M on %Y-%m-%d", began)
         if run is None:
             # A run in this process cannot be taken up, and an earlier one is the newest no more.
             context.window_manager.xihe.newest_run = chosen.begun_run = ""
@@ -127,7 +128,7 @@ class XIHE_OT_resume_run(polls.Conditional, Following, bpy.types.Operator):
 
     def _job(self, folder: Path) -> Job[None]:
         yield from results_imported()
-        run = BackgroundRun(folder)
+        run = BackgroundRun(folder, is_edited=True)
         if not run.has_ended:
             run.start()
         yield from self.follow(run)
