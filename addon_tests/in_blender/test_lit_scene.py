@@ -245,6 +245,12 @@ def test_what_stands_in_front_of_an_object_hides_it_and_does_not_light_it(ran, s
     assert not [item.name for item in bpy.data.objects if item.name.startswith(LIT_SCENE)]
 
 
+def test_a_stereo_scene_is_shown_as_the_phones_one_picture(ran):
+    scene = opened(ran.out / "after.blend")
+    scene.render.use_multiview = True
+    assert not show_lit(scene, ran.out).render.use_multiview and scene.render.use_multiview
+
+
 def test_a_larger_picture_is_opaque_and_as_bright_along_its_rim_as_inside(shown, tmp_path):
     shown.cycles.samples = 1
     lit = rendered_picture(shown, tmp_path, "RGBA")

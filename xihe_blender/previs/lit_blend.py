@@ -65,7 +65,7 @@ def make_lit_scene(
             catch_shadows(catcher, surfaces[name], metres_per_unit(scene), LIFTED_M)
         show_only_in(lit, catcher, [worlds[name].name])
     lit.world = next(iter(worlds.values()))
-    lit.render.engine = "CYCLES"
+    lit.render.engine, lit.render.use_multiview = "CYCLES", False  # A phone takes one picture, not one for each eye.
     # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
     lit.cycles.use_denoising = can_denoise(lit) and lit.cycles.use_denoising
     return lit
