@@ -16,7 +16,7 @@ from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed
 from tiny_scenes import empty_scene, node_of, phone, set_world
 
-from xihe_blender.addon.background_run import saved_for_run
+from xihe_blender.addon.background_run import newest_run, saved_for_run
 from xihe_blender.addon.comparison_view import follow_playhead
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.results_in_blender import (
@@ -221,6 +221,9 @@ def test_a_run_is_found_where_its_file_was_moved_together_with_it(project, tmp_p
     assert last_run(scene.xihe.run_folder) is not None and job.unshown_run == ""
     assert bpy.ops.xihe.apply_light() == {"FINISHED"}
     assert found_folder(rf"C:\films\xihe_runs\{LATER}") == found
+    enable_preferences().cache_folder = str(tmp_path / "kept")
+    assert found_folder(str(later)) == found, "beside the file, wherever new runs go"
+    assert newest_run(bpy.data.filepath) == found
     gone = tmp_path / "gone" / "room_20250101-120000"
     assert found_folder(str(gone)) == gone and last_run("") is None
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import bpy
 import numpy as np
 import pytest
-from addon_runs import registered_addon
+from addon_runs import poll_message, registered_addon
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from previs_runs import counted_renders
@@ -559,6 +559,7 @@ def test_the_operator_imports_and_undo_takes_it_back(tmp_path):
         assert scene["xihe_capture"] == "//walk"
         assert scene.camera.data.background_images[0].image.filepath.startswith("//walk_footage")
         assert bpy.context.active_object == scene.camera
+        assert "Captured by a phone" in poll_message(bpy.ops.xihe.add_better_camera), "no run would go its path"
         # A copy of the file elsewhere, as a run in the background has one, still finds the recording.
         (tmp_path / "runs").mkdir()
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "runs" / "copy.blend"))

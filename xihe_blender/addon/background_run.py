@@ -25,7 +25,7 @@ from typing import IO, Any
 
 import bpy
 
-from xihe_blender.addon.preferences import runs_folder
+from xihe_blender.addon.preferences import folders_with_runs
 from xihe_blender.addon.runs_folder import found_folder, last_part
 from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
@@ -221,7 +221,8 @@ def newest_run(blend: str, begun: Iterable[str] = ()) -> Path | None:
     A run beside the file is of the file of that name, wherever both were when it was begun. Those in the folders
     `begun`, as scenes remember them, are the file's by whatever name it had then, or if it had none.
     """
-    runs = [BackgroundRun(path.parents[1]) for path in runs_folder().glob("*/work/request.json")] if blend else []
+    asked = (path for parent in folders_with_runs() for path in parent.glob("*/work/request.json"))
+    runs = [BackgroundRun(path.parents[1]) for path in asked] if blend else []
     remembered = [BackgroundRun(found_folder(folder)) for folder in begun if folder]
     found = []
     for run in (*runs, *remembered):

@@ -79,7 +79,7 @@ class XIHE_OT_add_better_camera(Action, bpy.types.Operator):
         "choose it as the scene's camera and set the scene's end to its last frame. Remove Light takes it away"
     )
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_room, polls.has_camera, has_look)
+    conditions = (polls.is_idle, polls.is_room, polls.captures_are_rendered, polls.has_camera, has_look)
 
     def act(self, context: bpy.types.Context) -> str:
         from xihe_blender.io.look_results import LookAway

@@ -13,6 +13,8 @@ import bpy
 from xihe_blender.addon.choices import DEFAULT_PHONE, FROM_FILE, number_of, phone_items
 from xihe_blender.io.old_runs import format_old_runs, runs_in
 
+RUNS = "xihe_runs"
+
 
 def path_chosen(chosen: XihePreferences, _context: bpy.types.Context) -> None:
     """Keep what holds for all files: before Blender 4.5 its file browser gives paths relative to the open one."""
@@ -89,10 +91,20 @@ def runs_folder() -> Path:
 
     Not in the extension's own place for files: Blender deletes that with the extension.
     """
-    beside = Path(bpy.data.filepath).parent if bpy.data.filepath else None
-    if beside is not None and not os.access(beside, os.W_OK):
-        beside = None
-    return chosen_folder() or (beside or Path(bpy.utils.user_resource("DATAFILES"))) / "xihe_runs"
+    beside = _beside_file()
+    if beside is None or not os.access(beside.parent, os.W_OK):
+        beside = Path(bpy.utils.user_resource("DATAFILES")) / RUNS
+    return chosen_folder() or beside
+
+
+def folders_with_runs() -> list[Path]:
+    """Where runs of the open file may lie: `runs_folder`, and beside the file, which was moved or given with them."""
+    beside = _beside_file()
+    return list(dict.fromkeys([runs_folder(), *([] if beside is None else [beside])]))
+
+
+def _beside_file() -> Path | None:
+    return Path(bpy.data.filepath).parent / RUNS if bpy.data.filepath else None
 
 
 def chosen_folder() -> Path | None:

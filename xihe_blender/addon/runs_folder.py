@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from xihe_blender.addon.preferences import runs_folder
+from xihe_blender.addon.preferences import folders_with_runs, runs_folder
 from xihe_blender.errors import UserError
 
 if TYPE_CHECKING:
@@ -62,14 +62,14 @@ def shown_runs() -> set[Path]:
 def found_folder(folder: str) -> Path:
     """Where a run or an error budget lies that a scene remembers in `folder`, as an absolute path.
 
-    If that is gone, it is sought by its name where runs are kept now: the file and its runs were moved together. The
-    path may be of Windows, on another system.
+    If that is gone, it is sought by its name where runs are kept now, and beside the file: the two were moved together.
+    The path may be of Windows, on another system.
     """
     remembered = Path(bpy.path.abspath(folder))
     if not folder or remembered.is_dir():
         return remembered
-    moved = runs_folder() / last_part(folder)
-    return moved if moved.is_dir() else remembered
+    moved = (parent / last_part(folder) for parent in folders_with_runs())
+    return next((place for place in moved if place.is_dir()), remembered)
 
 
 def last_part(path: str) -> str:
