@@ -281,6 +281,15 @@ def test_the_first_and_last_picture_stay_where_the_path_goes_on_without_one(tmp_
     assert [file.read_text() for file in sorted((tmp_path / "lit").iterdir())] == 4 * ["third"] + 3 * ["fifth"]
 
 
+def test_a_run_that_can_only_be_read_is_shown_from_pictures_for_this_session(tmp_path):
+    picture, run = tmp_path / "3.png", tmp_path / "run_20260101-120000"
+    picture.write_text("third")
+    run.write_text("no folder can be made in it")
+    first = CapturedFrames({3: picture}, range(3, 5), run / "lit", (4, 4), 1.0).write_sequence()
+    assert first.is_relative_to(bpy.app.tempdir)
+    assert [file.read_text() for file in sorted(first.parent.iterdir())] == ["third", "third"]
+
+
 def placed(scene, frame):
     """Where the camera of `scene` is, and its lens and shift."""
     scene.frame_set(frame)

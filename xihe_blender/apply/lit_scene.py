@@ -70,14 +70,23 @@ class CapturedFrames:
         return range(min(numbers), max(numbers) + 1)
 
     def write_sequence(self) -> Path:
-        """Put the pictures into the folder, anew; the path of the first."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-        self.folder.mkdir(parents=True)
+        """Put the pictures into the folder, anew; the path of the first.
+
+        Where that cannot be written, as on a share that is only read, into Blender's own for this session.
+        """
+        try:
+            return self._write_into(self.folder)
+        except OSError:
+            return self._write_into(Path(bpy.app.tempdir) / self.folder.parent.name)
+
+    def _write_into(self, folder: Path) -> Path:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
         shown = self.pictures[min(self.pictures)]
         for number, frame in enumerate(self.frames, 1):
             shown = self.pictures.get(frame, shown)
-            link_or_copy(shown, self.folder / f"frame_{number:04d}.png")
-        return self.folder / "frame_0001.png"
+            link_or_copy(shown, folder / f"frame_{number:04d}.png")
+        return folder / "frame_0001.png"
 
 
 def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
