@@ -121,6 +121,10 @@ def test_times_become_whole_frames():
     assert frames_of_times([5.0, 5.033, 5.067, 5.2]) == {1: 0, 2: 1, 3: 2, 7: 3}
     # Two of the same moment: the later one is left out.
     assert frames_of_times([0.0, 0.1, 0.101, 0.2]) == {1: 0, 2: 1, 3: 3}
+    # Of a few pictures a second none is lost to a rate that is rounded down, or to times that are uneven.
+    assert list(frames_of_times([0.4 * i for i in range(9)]).values()) == list(range(9))
+    assert frames_a_second([0.0, 0.5, 0.75, 1.25, 1.7, 2.2]) == 4
+    assert len(frames_of_times([0.0, 0.5, 0.75, 1.25, 1.7, 2.2])) == 6
 
 
 # --------------------------------------------------------------------------------------------------------------- scan

@@ -25,6 +25,7 @@ SCAN = "xihe_scan"
 
 FIRST_FRAME = 1
 MOST_FPS = 240
+FEW_FPS = 10  # Fewer a second are pictures that an app chose, at times of their own, and no video
 IS_CAPTURED = "Captured by a phone: the session replaces rendered captures, and there is no ground truth."
 
 
@@ -76,9 +77,16 @@ def scan_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
 
 
 def frames_a_second(times_s: Sequence[float]) -> int:
-    """The rate of the timeline at which a recording plays as fast as it was taken; 24 for a single picture."""
+    """The rate of the timeline at which a recording plays as fast as it was taken; 24 for a single picture.
+
+    Where single pictures were taken, a few a second, up to twice as much, so that fewer fall onto the same frame.
+    """
     steps_s = [after - before for before, after in itertools.pairwise(times_s) if after > before]
-    return min(max(1, round(1 / statistics.median(steps_s))), MOST_FPS) if steps_s else 24
+    if not steps_s:
+        return 24
+    usual = min(max(1, round(1 / statistics.median(steps_s))), MOST_FPS)
+    rates = range(usual, 2 * usual + 1) if usual < FEW_FPS else range(usual, usual + 1)
+    return max(rates, key=lambda rate: len(_frames_at(rate, times_s)))
 
 
 def frames_of_times(times_s: Sequence[float]) -> dict[int, int]:
@@ -86,7 +94,11 @@ def frames_of_times(times_s: Sequence[float]) -> dict[int, int]:
 
     What follows so closely that it falls onto a frame with the one before, or goes back in time, is left out.
     """
-    fps, places = frames_a_second(times_s), {FIRST_FRAME: 0}
+    return _frames_at(frames_a_second(times_s), times_s)
+
+
+def _frames_at(fps: int, times_s: Sequence[float]) -> dict[int, int]:
+    places = {FIRST_FRAME: 0}
     for place, time_s in enumerate(times_s):
         number = FIRST_FRAME + round((time_s - times_s[0]) * fps)
         if number > next(reversed(places)):
