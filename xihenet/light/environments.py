@@ -96,22 +96,21 @@ def rgbe_of(radiance: ArrayF64) -> ArrayU8:
 
 def _in_runs(values: ArrayU8) -> bytes:
     """One channel of a row: equal neighbours as a run where there are at least four, else as they are."""
-    packed, literal, at = bytearray(), bytearray(), 0
-    edges = np.append(np.flatnonzero(np.diff(values.astype(int))) + 1, len(values))
+    packed, as_it_is, at = bytearray(), values.tobytes(), 0
+    edges = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1, [len(values)]])
 
-    def flush() -> None:
-        for begin in range(0, len(literal), 128):
-            part = literal[begin : begin + 128]
+    def up_to(end: int) -> None:
+        for begin in range(at, end, 128):
+            part = as_it_is[begin : min(begin + 128, end)]
             packed.extend([len(part), *part])
-        literal.clear()
 
-    for end in map(int, edges):
+    for number in np.flatnonzero(np.diff(edges) >= 4):
+        begin, end = int(edges[number]), int(edges[number + 1])
+        up_to(begin)
+        at = begin
         while end - at >= 4:
             n = min(end - at, 127)
-            flush()
-            packed.extend([128 + n, int(values[at])])
+            packed.extend([128 + n, as_it_is[at]])
             at += n
-        literal.extend(values[at:end].tolist())
-        at = end
-    flush()
+    up_to(len(values))
     return bytes(packed)

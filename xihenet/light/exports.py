@@ -12,6 +12,7 @@ import itertools
 import json
 import math
 import unicodedata
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -94,8 +95,9 @@ def export_files(
         raise ValueError("export_files: expected at least one light")
     names = file_names([one.object_name for one in lights])
     stems = [f"{names[one.object_name]}_{one.frame:04d}" for one in lights]
-    if twice := [stem for stem in stems if stems.count(stem) > 1]:
-        raise ValueError(f"two lights would be written to files named {twice[0]!r}: rename one of the objects")
+    stem, n = Counter(stems).most_common(1)[0]
+    if n > 1:
+        raise ValueError(f"two lights would be written to files named {stem!r}: rename one of the objects")
     known = PLATFORMS.get(platform)
     takes_a_picture = known is not None and not known.readings and reading is None
     convention = None if takes_a_picture else convention_of(platform, reading)
