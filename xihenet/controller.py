@@ -83,6 +83,9 @@ class XiheController:
 
     `backend` makes the estimates; its `n_anchors` is the session's. `others` answer beside it, for the same clouds:
     their light is in `LightEstimate.others`, and their time in no stage.
+
+    A session is not safe between threads: call it from one, or under a lock. Sessions may share an estimator. Whatever
+    takes a position's name raises KeyError for one that was not added.
     """
 
     def __init__(

@@ -86,7 +86,8 @@ class RgbdFrame:
     plane_depth_m : (H, W) float32, metres along the optical axis; 0 or infinite where the sensor has none, which makes
         the pixel light from far away, and NaN where the pixel's colour is not to be used either
     intrinsics : of both images
-    world_from_camera : (4, 4) float64, row by row: its last row is 0 0 0 1, the last column says where the camera is
+    world_from_camera : (4, 4) float64, row by row: its last row is 0 0 0 1, the last column says where the camera is,
+        and the first three are its axes, of length 1, which is not checked
     exposure : factor that was applied to linear radiance before clipping and encoding, positive
     ambient : (3,) linear scene radiance that the ambient light sensor reports, or None without a sensor
     time_s : seconds since the start of the session
