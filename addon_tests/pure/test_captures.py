@@ -21,6 +21,7 @@ from addon_tests.pure.recordings import (
     walk,
 )
 from addon_tests.pure.test_estimate_command import read_strictly
+from xihe_blender.cli import replay as replay_command
 from xihe_blender.cli.main import main
 from xihenet import estimators
 from xihenet.captures import open_capture
@@ -140,6 +141,23 @@ def test_where_no_light_can_be_known_replay_says_why(tmp_path, capfd, is_doubted
     said = capfd.readouterr().out.splitlines()[-1]
     assert said.startswith("0,0,0: no light could be known in 2 frames: no surface was seen from there; 6144 points")
     assert why in said
+
+
+def test_a_long_replay_says_how_far_it_is(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(replay_command, "SHOWN_EVERY_S", 0.0)
+    path = as_plain(tmp_path / "in", walk(SMALL, 3))
+    assert main(["replay", str(path), "--at", "0,0,1", "--out", str(tmp_path / "out"), "--estimator", "ambient"]) == 0
+    said = [line.partition(", ")[::2] for line in capfd.readouterr().err.splitlines() if "%" in line]
+    assert [purpose for purpose, _ in said] == [
+        "  0%  following the exposure",
+        " 17%  following the exposure",
+        " 33%  following the exposure",
+        " 50%  estimating light",
+        " 67%  estimating light",
+        " 83%  estimating light",
+        "100%  all frames read",
+    ]
+    assert [left.partition(",")[0] for _, left in said[:6]] == 2 * ["frame 1 of 3", "frame 2 of 3", "frame 3 of 3"]
 
 
 def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from xihe_blender.cli.arguments import BACKEND, BETWEEN, add_recording, adder, one_of, position
+from xihe_blender.cli.progress import progress_line
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, write_together
 from xihe_blender.io.run_lights import write_lights
+from xihe_blender.jobs import Progress
 from xihe_blender.report.replay import write_replay_report
 from xihenet import __version__, estimators
 from xihenet.captures import open_capture
-from xihenet.captures.capture import Capture
+from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.drift import Drift
 from xihenet.captures.reading import READERS
@@ -31,7 +35,7 @@ from xihenet.light import BetweenEstimates
 from xihenet.light.exports import NamedLight
 from xihenet.light.light_picture import light_picture, seen_picture
 from xihenet.light.platforms import PLATFORMS
-from xihenet.records import ArrayF64, UnitSphereCloud
+from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
 
 SCORE = (
     "say how well each estimator guesses what left-out frames show, at the positions given or at 16 of the room's own; "
@@ -47,6 +51,8 @@ SCORE_SAYS = (
 )
 NOT_ASKED = "No place could be asked: every part of the recording shows what the others do."
 LEAST_FRAMES, MOST_FRAMES_SHOWN = 3, 8
+SHOWN_EVERY_S = 2.0
+"""How far a recording is read; one that is read in less needs no word of it."""
 
 
 @dataclass
@@ -61,6 +67,32 @@ class Place:
     invalid: Mapping[str, int] = field(default_factory=dict)
     unknown: Mapping[str, int] = field(default_factory=dict)  # frames that could not tell the light, by reason
     cloud: UnitSphereCloud | None = None
+
+
+class Reading:
+    """Shows on `stream` how far a recording is read, all of it for each of `purposes`, one after the other."""
+
+    def __init__(self, n_frames: int, purposes: Sequence[str], stream: Any) -> None:
+        self._n_frames, self._purposes, self._show = n_frames, purposes, progress_line(stream)
+        self._n_read, self._start_s, self._due_s = 0, time.monotonic(), SHOWN_EVERY_S
+
+    def watched(self, capture: Capture) -> Capture:
+        return replace(capture, frames=[replace(frame, load=partial(self._load, frame)) for frame in capture.frames])
+
+    def _load(self, frame: CapturedFrame) -> RgbdFrame:
+        elapsed_s, total = time.monotonic() - self._start_s, self._n_frames * len(self._purposes)
+        if elapsed_s >= self._due_s and self._n_read < total:
+            purpose, index = divmod(self._n_read, self._n_frames)
+            doing = f"{self._purposes[purpose]}, frame {index + 1} of {self._n_frames}"
+            self._show(Progress(self._n_read, total, doing), elapsed_s)
+            self._due_s = elapsed_s + SHOWN_EVERY_S
+        self._n_read += 1
+        return frame.load()
+
+    def end(self) -> None:
+        """Where something was shown, say that all is read."""
+        if self._due_s > SHOWN_EVERY_S:
+            self._show(Progress(1, 1, "all frames read"), time.monotonic() - self._start_s)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,11 +122,12 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         raise UserError("truth is a light probe rendered in Blender, which a recording does not have: choose another")
     try:
         estimator = _estimator(options)
-        capture, drift = _prepared(options)
+        capture, drift, reading = _prepared(options, stderr)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
         unseen = never_in_view(capture, _positions(capture, places))
         steps = list(_replayed(capture, places, unseen, estimator, options.between_estimates)) if places else []
         score = _score(capture, places, options) if options.score else None
+        reading.end()
     except (ValueError, ImportError) as error:
         raise UserError(str(error)) from error
     except OSError as error:
@@ -120,7 +153,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         print(f"xihe: note: {SCORE_SAYS if score else NOT_ASKED}", file=stderr)
 
 
-def _prepared(options: argparse.Namespace) -> tuple[Capture, Drift | None]:
+def _prepared(options: argparse.Namespace, stderr: Any) -> tuple[Capture, Drift | None, Reading]:
     """Every N-th frame, with a note where its conventions look wrong, and with its drift divided out."""
     capture = open_capture(options.session, options.up, scale=options.scale, floor_m=options.floor)
     capture = replace(capture, frames=capture.frames[:: options.every])
@@ -129,9 +162,11 @@ def _prepared(options: argparse.Namespace) -> tuple[Capture, Drift | None]:
     suspected = suspicion(capture)
     if suspected is not None:
         capture = replace(capture, notes=(*capture.notes, suspected))
-    if capture.is_exposure_known or options.drift == "ignored":
-        return capture, None
-    return steadied(capture)
+    is_followed = not capture.is_exposure_known and options.drift == "followed"
+    purposes = {"following the exposure": is_followed, "estimating light": options.at, "scoring": options.score}
+    reading = Reading(len(capture.frames), [name for name, is_asked in purposes.items() if is_asked], stderr)
+    capture = reading.watched(capture)
+    return (*(steadied(capture) if is_followed else (capture, None)), reading)
 
 
 def _as_json(drift: Drift) -> dict[str, Any]:
