@@ -35,6 +35,7 @@ from xihenet.records import Intrinsics as Intrinsics
 
 MISS_PLANE_DEPTH_M = 1e9  # At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit
 NEGLIGIBLE_M = 1e-6  # What rounding a camera's place to float32 costs stays below it within 16 m of the origin
+BEHIND = 1.1  # A point at so many times the depth of what is seen there lies behind it: sensors err by less
 THROUGH_FROM = 1.1  # Depth, times that of a point, from which there is nothing at the point
 SMALLEST_VOLUME = 1e-12  # Of the box of a camera's axes of length 1; flatter ones cannot be inverted
 
@@ -269,6 +270,20 @@ def _is_inside(pixels: ArrayF64, plane_depth_m: ArrayF64, intrinsics: Intrinsics
     inside = (pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height])
     result: ArrayBool = inside.all(axis=1) & (plane_depth_m > 0)
     return result
+
+
+def behind_m(point_m: ArrayLike, frame: RgbdFrame) -> float:
+    """How far a point of the world, (3,), lies behind the surface that its pixel shows, along the optical axis.
+
+    0 where it does not, or by less than sensors err, where its pixel shows no surface, and out of view.
+    """
+    points_m = np.asarray(point_m, np.float64)[None]
+    if not in_view(points_m, frame.intrinsics, frame.world_from_camera)[0]:
+        return 0.0
+    pixels, plane_depth_m = project_points(points_m, frame.intrinsics, frame.world_from_camera)
+    column, row = pixels[0].astype(int)
+    surface_m, own_m = float(frame.plane_depth_m[row, column]), float(plane_depth_m[0])
+    return own_m - surface_m if surface_m > 0 and own_m > BEHIND * surface_m else 0.0
 
 
 def sees_through(points_m: ArrayLike, frame: RgbdFrame) -> ArrayBool:

@@ -18,22 +18,20 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, json_file, write_together
 from xihenet import __version__, estimators
 from xihenet.backend import LocalBackend, estimate_light
-from xihenet.camera import in_view, invalid_pixels, project_points, unproject_frame
+from xihenet.camera import behind_m, in_view, invalid_pixels, unproject_frame
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.invalid import CLAMPED, Counts, counted, format_reason, n_left_out
 from xihenet.io.frame_files import FrameCamera, off_centre, read_camera, read_frame
 from xihenet.io.picture_size import MOST_PIXELS
 from xihenet.io.png import encode_png
 from xihenet.light.light_picture import light_picture
-from xihenet.records import ArrayF64, LightEstimate, PointCloud, RgbdFrame
+from xihenet.records import LightEstimate, PointCloud, RgbdFrame
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import dering_for_display
 from xihenet.sphere import AnchorLattice
 
 SCHEMA_VERSION = 1
 MAX_ANCHORS = 65536
-BEHIND = 1.1
-"""A position at more than so many times the distance of what is seen there lies behind it: sensors err by less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +43,7 @@ class PlacedEstimate:
     position_m, light, invalid : where, what, and the points that gave nothing or were clamped
     is_in_view : whether it lies within the picture, in front of the camera
     behind_m : how far behind the surface that its pixel shows, along the optical axis; 0 where it is not, or only by
-        as much as BEHIND allows
+        as much as `xihenet.camera.BEHIND` allows
     """
 
     position_m: Position
@@ -137,18 +135,10 @@ def _estimate_at(
     context = EstimateContext(frame, points, in_blender_m, None, frame.exposure)
     light = estimate_light(LocalBackend(estimator), cloud, context, frame.exposure)
     is_in_view = bool(in_view([in_blender_m], frame.intrinsics, frame.world_from_camera)[0])
-    behind_m = _behind_m(in_blender_m, frame) if is_in_view else 0.0
+    behind = behind_m(in_blender_m, frame)
     clamped = {reason: n for reason, n in frame.invalid.items() if reason in CLAMPED}
     beyond = counted(distance_in_network=int(np.count_nonzero(cloud.distance_m > estimator.farthest_m)))
-    return PlacedEstimate(position_m, light, is_in_view, behind_m, {**cloud.invalid, **clamped, **beyond})
-
-
-def _behind_m(position_m: ArrayF64, frame: RgbdFrame) -> float:
-    """Of a position in view; 0 where its pixel shows no surface."""
-    pixels, plane_depth_m = project_points([position_m], frame.intrinsics, frame.world_from_camera)
-    column, row = pixels[0].astype(int)
-    surface_m, own_m = float(frame.plane_depth_m[row, column]), float(plane_depth_m[0])
-    return own_m - surface_m if surface_m > 0 and own_m > BEHIND * surface_m else 0.0
+    return PlacedEstimate(position_m, light, is_in_view, behind, {**cloud.invalid, **clamped, **beyond})
 
 
 def as_json(

@@ -49,6 +49,10 @@ SCORE_SAYS = (
     "The score is the error in directions that only left-out frames show, of light clipped at white (--target ldr). It "
     "compares estimators; it is no error of the light."
 )
+HIDDEN = (
+    "lies behind what is seen there in all frames that look at it: its light is estimated from other surfaces; check "
+    "--at, which is in metres in the recording's world"
+)
 NOT_ASKED = "No place could be asked: every part of the recording shows what the others do."
 LEAST_FRAMES, MOST_FRAMES_SHOWN = 3, 8
 SHOWN_EVERY_S = 2.0
@@ -67,6 +71,12 @@ class Place:
     invalid: Mapping[str, int] = field(default_factory=dict)
     unknown: Mapping[str, int] = field(default_factory=dict)  # frames that could not tell the light, by reason
     cloud: UnitSphereCloud | None = None
+    n_asked: int = 0  # frames, and those of them in which what is seen there hides it
+    n_hidden: int = 0
+
+    @property
+    def where(self) -> str:
+        return ",".join(f"{coordinate:g}" for coordinate in self.at)
 
 
 class Reading:
@@ -136,8 +146,9 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         print(f"xihe: note: {note}", file=stderr)
     for place in places:
         if place.name in unseen:
-            where = ",".join(f"{coordinate:g}" for coordinate in place.at)
-            print(f"xihe: note: No frame looks at {where}: it is asked about in every frame.", file=stderr)
+            print(f"xihe: note: No frame looks at {place.where}: it is asked about in every frame.", file=stderr)
+        elif place.n_hidden and place.n_hidden == place.n_asked:
+            print(f"xihe: note: {place.where} {HIDDEN}", file=stderr)
     for path in _write(options, capture, places, steps, score, drift):
         print(path, file=stdout)
     for place in places:
@@ -253,6 +264,7 @@ def _note(place: Place, step: ReplayedStep) -> None:
     report = step.reports.get(place.name)
     if report is None:  # Out of view
         return
+    place.n_asked, place.n_hidden = place.n_asked + 1, place.n_hidden + (place.name in step.hidden)
     place.coverage, place.invalid = report.coverage, added([place.invalid, report.invalid])
     place.unknown = added([place.unknown, {report.unknown_because: 1} if report.unknown_because else {}])
     estimate = report.estimate
@@ -352,13 +364,12 @@ def _shown_frames(capture: Capture, places: Sequence[Place]) -> list[tuple[int, 
 
 
 def _told(place: Place, n_frames: int) -> str:
-    where = ",".join(f"{coordinate:g}" for coordinate in place.at)
     if not place.lights:
-        return f"{where}: no light could be known in {n_frames} frames{_why_unknown(place)}"
+        return f"{place.where}: no light could be known in {n_frames} frames{_why_unknown(place)}"
     last = place.lights[-1]
     expected = "" if last["expected_error"] is None else f", expected error {last['expected_error']:.3f}"
     seen = f"{place.coverage:.0%} of the sphere seen"
-    return f"{where}: {len(place.lights)} estimates in {n_frames} frames, {seen}{expected}"
+    return f"{place.where}: {len(place.lights)} estimates in {n_frames} frames, {seen}{expected}"
 
 
 def _why_unknown(place: Place) -> str:

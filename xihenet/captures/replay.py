@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xihenet.backend import InferenceBackend, LocalBackend
-from xihenet.camera import in_view
+from xihenet.camera import behind_m, in_view
 from xihenet.captures.capture import Capture
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.estimators import Estimator
@@ -26,7 +26,7 @@ class ReplayedStep:
 
     `lights` are those in force, none before the first valid one, and `gains` (3,) what their estimates were multiplied
     by to carry them here, see `xihenet.light.carried_light`; `known` gives what the session knows of a position when it
-    is asked, which may be after later steps.
+    is asked, which may be after later steps. `hidden` are positions in view that lie behind what the frame shows there.
     """
 
     frame: int
@@ -35,6 +35,7 @@ class ReplayedStep:
     lights: Mapping[str, ObjectLight]
     gains: Mapping[str, ArrayF64]
     known: Callable[[str], UnitSphereCloud]
+    hidden: Collection[str] = ()
 
 
 def replay(
@@ -66,12 +67,15 @@ def replay(
     for name, position_m in positions_m.items():
         session.add_position(name, np.asarray(position_m, np.float64))
     for seen in frames:
-        in_view = session.active(seen.intrinsics, seen.world_from_camera)
-        reports = session.step(seen, active=[name for name in positions_m if name in in_view or name in never_in_view])
+        looked_at = session.active(seen.intrinsics, seen.world_from_camera)
+        reports = session.step(
+            seen, active=[name for name in positions_m if name in looked_at or name in never_in_view]
+        )
         lights = {name: light for name in positions_m if (light := session.light(name)) is not None}
         gains = {name: session.gain(name) for name in lights}
         in_force = {name: ObjectLight(light.sh_radiance, light.key) for name, light in lights.items()}
-        yield ReplayedStep(seen.frame, seen.time_s, reports, in_force, gains, session.known)
+        hidden = [name for name in looked_at if behind_m(positions_m[name], seen)]
+        yield ReplayedStep(seen.frame, seen.time_s, reports, in_force, gains, session.known, hidden)
 
 
 def never_in_view(capture: Capture, positions_m: Mapping[str, ArrayF64]) -> list[str]:
