@@ -13,6 +13,10 @@ times white, came out below it, and the clipped light was 3.5 % too bright; from
 Lamps and sky that a ray meets directly are free of noise. Each pixel has one ray, so that what it meets is clipped for
 itself, whatever lies next to it: with four rays a pixel in which the bars of a window and the sky share was white as a
 whole, and such a room had 5 % too much light. Next to lamps a denoiser runs over; there, what was reflected decides.
+
+In fog it is chance whether a ray gets through to a lamp, and what it meets says nothing of its direction. There the
+mean of all rays around decides, where the lamp fills all pixels around; its rim is left to each ray, since a mean makes
+the lamp half a pixel wider.
 """
 
 from __future__ import annotations
@@ -32,8 +36,9 @@ MEDIANS = 5
 
 
 def clipped_sh(
-    radiance: Sequence[ArrayF32], emission: Sequence[ArrayF32], smooth: ArrayF32 | None, order: int = 2
-) -> ArrayF64:
+    radiance: Sequence[ArrayF32], emission: Sequence[ArrayF32], smooth: ArrayF32 | None, order: int = 2,
+    fog: ArrayBool | None = None,
+) -> ArrayF64:  # fmt: skip
     """Coefficients of the light clipped at white, as each of S pictures has it; their mean is the answer.
 
     (S, (order + 1)^2, 3) float64. ValueError for no picture at all, or for pixels that are not finite.
@@ -43,6 +48,7 @@ def clipped_sh(
     radiance : S mirror balls (N, N, 3) of one ray in each pixel, carrying the exposure; white is 1
     emission : the part of them that rays met directly, lamps and sky, which has no noise
     smooth : (N, N, 3) the same seen once more, denoised; None where no denoiser is to be had, at the cost of some bias
+    fog : (N, N, 1) where rays may be scattered on their way; None without any
     """
     if not len(radiance):
         raise ValueError("clipped_sh: expected at least one picture, got none")
@@ -50,10 +56,15 @@ def clipped_sh(
     radiance, emission = ([np.maximum(picture, 0) for picture in some] for some in (radiance, emission))
     reflections = _Reflections(radiance, emission)
     judge = np.median(neighbours(reflections.mean(), MEDIANS), axis=0) if smooth is None else smooth
+    by_chance, around = _met_by_chance(reflections.is_lamp, fog), None
+    if by_chance.any():
+        around = neighbours(np.mean(radiance, axis=0), NEIGHBOURHOOD).mean(axis=0)
     lights = []
     for number, (seen, met) in enumerate(zip(radiance, emission, strict=True)):
         usual = np.where(reflections.is_near_lamp, reflections.without(number), judge)
         is_white = np.where(reflections.is_lamp[number], met, usual) >= 1
+        if around is not None:
+            is_white = np.where(by_chance, around >= 1, is_white)
         lights.append(project_mirror_ball(np.where(is_white, np.float32(1), seen), order))
     return np.array(lights)
 
@@ -67,6 +78,19 @@ def relative_noise(lights: ArrayF64, smallest: float) -> float | None:
         return None
     variance = lights.var(axis=0, ddof=1).sum() / len(lights)
     return float(np.sqrt(variance) / max(float(np.linalg.norm(lights.mean(axis=0))), smallest))
+
+
+def _met_by_chance(is_lamp: Sequence[ArrayBool], fog: ArrayBool | None) -> ArrayBool:
+    """(N, N, 1) where a lamp behind fog fills a pixel and those around, of pictures (N, N, 1) some of which met it."""
+    if fog is None:
+        return np.zeros_like(is_lamp[0])
+    # Pixels in which no ray got through are filled, and the lamp is no larger for it.
+    lamp = np.any(is_lamp, axis=0)
+    for inside in (False, True, True):
+        around = neighbours(lamp, NEIGHBOURHOOD)
+        lamp = around.all(axis=0) if inside else around.any(axis=0)
+    by_chance: ArrayBool = lamp & fog
+    return by_chance
 
 
 class _Reflections:

@@ -1,12 +1,13 @@
 """The reference probe holds all the light: lamps that cameras cannot see, from anywhere, linked or not, of any size."""
 
 import math
+from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
 import tiny_scenes
-from effect_scenes import shader_look, shader_node
+from effect_scenes import fog, shader_look, shader_node
 from mathutils import Vector
 from scene_snapshot import snapshot
 from tiny_scenes import add, box, empty_scene, material, room_with_a_virtual_sphere, set_world, sphere
@@ -18,9 +19,10 @@ from xihe_blender.capture.reference_probe import (
     lights_of_cones,
     open_reference_probe,
 )
+from xihe_blender.capture.render import stacked_rgb
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.scene.virtual_objects import virtual_collection
-from xihenet.mirror_ball import ball_directions
+from xihenet.mirror_ball import ball_directions, project_mirror_ball
 from xihenet.sh import basis, irradiance
 
 POSITION = np.array([0.3, -0.2, 1.0])
@@ -110,6 +112,19 @@ def test_a_glowing_disc_above_counts_once(radius_m):
     assert light.hdr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(GLOW * solid_angle, rel=0.03)
     # Some 130 rays of 16 pictures meet the small disc.
     assert light.ldr[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(solid_angle, rel=0.2 if radius_m < 0.2 else 0.03)
+
+
+def test_a_lamp_is_as_white_through_fog_as_many_rays_show_it():
+    scene = scene_with_a_glowing_disc(3.0)
+    bpy.data.materials["Glow"].node_tree.nodes["Emission"].inputs["Strength"].default_value = 2.5
+    air = fog("Air")
+    air.node_tree.nodes["Volume Scatter"].inputs["Density"].default_value = 0.4
+    box(scene, "Air", POSITION, (8, 8, 8), air)
+    settings = replace(FEW, max_samples=8, light_transport=(("volume_bounces", 1),))
+    with open_reference_probe(scene, [POSITION], settings) as probe:
+        many = stacked_rgb(probe.view(0, 9, samples=64).passes, "Combined")
+        clipped = project_mirror_ball(np.minimum(many, 1))
+        assert probe.light_at(0, 1).measured.ldr[0, 0] == pytest.approx(clipped[0, 0], rel=0.05)
 
 
 def with_a_linked_lamp(state):

@@ -124,3 +124,17 @@ def test_bars_narrower_than_a_pixel_do_not_pass_for_the_window_behind_them(is_de
     smooth = np.full((SIZE, SIZE, 3), 3.05, np.float32) if is_denoised else None
     found = clipped_sh(radiance, met, smooth).mean(axis=0)[0, 0]
     assert found == pytest.approx(0.55 * np.sqrt(4 * np.pi), rel=0.02)
+
+
+def test_a_lamp_that_rays_reach_by_chance_through_fog_is_as_white_as_it_is_and_no_larger():
+    rng = np.random.default_rng(6)
+    is_lamp = DIRECTIONS[..., 2:] > np.cos(np.radians(50))
+    met = [
+        (5.0 * (is_lamp & (rng.random(is_lamp.shape) < 0.3)) * np.ones(3)).astype(np.float32) for _ in range(SAMPLES)
+    ]
+    seen, fog = [0.1 + picture for picture in met], np.ones_like(is_lamp)
+    expected = clipped(np.where(is_lamp, 1.6, 0.1) * np.ones(3))
+    found = [clipped_sh(seen, met, np.full_like(met[0], 0.1), fog=each).mean(axis=0) for each in (fog, None, ~fog)]
+    off = [np.linalg.norm(light - expected) / np.linalg.norm(expected) for light in found]
+    assert off[0] < 0.1 and off[1] > 0.5 and np.array_equal(found[1], found[2])
+    assert found[0][0, 0] < expected[0, 0]

@@ -42,7 +42,7 @@ from xihenet.clipped_light import clipped_sh, relative_noise
 from xihenet.estimators.base import Target
 from xihenet.mirror_ball import panorama_of_ball, project_mirror_ball
 from xihenet.phone.metering import KEY_LUMINANCE
-from xihenet.records import ArrayF32, ArrayF64
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64
 
 NAME = "Xihe Reference Probe"
 CLIP_START_M, CLIP_END_M = 0.001, 1e5
@@ -272,6 +272,7 @@ class _View(NamedTuple):
 
     radiance: ArrayF32
     emission: ArrayF32
+    fog: ArrayBool | None  # (N, N, 1) where light was scattered on its way; None where no volume was looked for
     render_s: float
 
 
@@ -280,11 +281,15 @@ def _exposed_view(rendered: Rendered, gain: np.float32) -> _View:
     # From Blender 5 on their names are whole words.
     lamps, sky = ("Emission", "Environment") if "Emission.R" in passes else ("Emit", "Env")
     emission = (finite_rgb(passes, lamps) + finite_rgb(passes, sky)) * gain
-    return _View(finite_rgb(passes, "Combined") * gain, emission, rendered.render_s)
+    scattered = [name.removesuffix(".R") for name in passes if name.startswith("Volume") and name.endswith(".R")]
+    fog = np.any([finite_rgb(passes, name) for name in scattered], axis=(0, -1))[..., None] if scattered else None
+    return _View(finite_rgb(passes, "Combined") * gain, emission, fog, rendered.render_s)
 
 
 def _lights_seen(views: Sequence[_View], smooth: ArrayF32 | None, order: int) -> ArrayF64:
-    return clipped_sh([view.radiance for view in views], [view.emission for view in views], smooth, order)
+    fogs = [view.fog for view in views if view.fog is not None]
+    fog = np.any(fogs, axis=0) if fogs else None
+    return clipped_sh([view.radiance for view in views], [view.emission for view in views], smooth, order, fog)
 
 
 def _mean_and_noise(lights: ArrayF64) -> tuple[ArrayF64, float | None]:
@@ -366,6 +371,8 @@ def open_reference_probe(
         working.timeline_markers.clear()
         layer = working.view_layers[0]
         layer.use_pass_emit = layer.use_pass_environment = True
+        has_volumes = working.cycles.volume_bounces > 0
+        layer.cycles.use_pass_volume_direct = layer.cycles.use_pass_volume_indirect = has_volumes
         # A box: with any wider filter pixels on the rim look past the ball more often than they should.
         working.cycles.pixel_filter_type = "BOX"
         working.camera = _mirror_ball_camera(stack)
