@@ -44,6 +44,10 @@ def ran(tmp_path_factory):
     out = tmp_path_factory.mktemp("lit") / "out"
     scene = walk()
     sphere(scene, "Unseen", (0, -1.9, 2.9), 0.05, None, virtual_collection(scene))
+    # The user may look at the scene as they like: pictures stay as they are.
+    scene.cycles.film_exposure, scene.view_settings.gamma = 2.0, 1.5
+    if hasattr(scene.view_settings, "use_white_balance"):
+        scene.view_settings.use_white_balance, scene.view_settings.white_balance_temperature = True, 3000
     bpy.context.view_layer.update()
     before = snapshot()
     results = run(scene, out, SETTINGS)

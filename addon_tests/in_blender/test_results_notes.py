@@ -5,11 +5,12 @@ import math
 import bpy
 import numpy as np
 import pytest
+from tiny_scenes import empty_scene
 
 from addon_tests.pure import runs
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.run_results import FrameResult
-from xihe_blender.previs.results_notes import dim_notes, exposure_notes, faults_seen, white_notes
+from xihe_blender.previs.results_notes import dim_notes, exposure_notes, faults_seen, frame_notes, white_notes
 from xihe_blender.previs.settings import PrevisSettings
 
 
@@ -57,3 +58,11 @@ def test_light_beyond_white_is_told_as_a_share_or_a_range(shares, words):
     frames = [from_json(FrameResult, runs.frame(1, runs.probe(share_above_white=share))) for share in shares]
     (note,) = white_notes(frames)
     assert words in note
+
+
+def test_what_of_the_scenes_colour_management_pictures_leave_out_is_named():
+    scene = empty_scene()
+    scene.view_settings.view_transform = "Standard"
+    assert "transform: as the scene has it." in next(frame_notes(scene, ()))
+    scene.view_settings.exposure, scene.view_settings.use_curve_mapping = 1.0, True
+    assert "the scene's own, exposure and curves, would distort" in next(frame_notes(scene, ()))

@@ -117,7 +117,9 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     render.use_compositing = True
     lit.display_settings.display_device = "sRGB"
     view.view_transform, view.look, view.gamma, view.use_curve_mapping = "Standard", "None", 1.0, False
-    view.exposure = math.log2(frames.exposure)
+    view.exposure, lit.cycles.film_exposure = math.log2(frames.exposure), 1.0
+    if hasattr(view, "use_white_balance"):  # from Blender 4.3 on
+        view.use_white_balance = False
     _compose(lit, image, frames)
 
 

@@ -17,7 +17,7 @@ from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean, too_small_to_judge
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.edge.client import EdgeBackend
-from xihenet.formats import format_frames
+from xihenet.formats import format_frames, format_list
 from xihenet.invalid import format_reason
 
 WORTH_TELLING = 0.1
@@ -117,10 +117,24 @@ def shadow_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
         yield f"The phone has seen nothing flat near {them}: in the air an object calls for no shadow on the room."
 
 
+def _shown_otherwise(scene: bpy.types.Scene) -> list[str]:
+    """What the scene's colour management does to a picture besides encoding it."""
+    view = scene.view_settings
+    switched = {
+        view.view_transform: view.view_transform != "Standard",
+        "exposure": view.exposure != 0 or scene.cycles.film_exposure != 1,
+        "gamma": view.gamma != 1,
+        "look": view.look != "None",
+        "curves": view.use_curve_mapping,
+        "white balance": getattr(view, "use_white_balance", False),  # from Blender 4.3 on
+    }
+    return [name for name, is_on in switched.items() if is_on]
+
+
 def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterator[str]:
     """How the numbers came about, and which frames have none."""
-    own = scene.view_settings.view_transform
-    aside = "as the scene has it" if own == "Standard" else f"the scene's own, {own}, would distort the comparison"
+    own = format_list(_shown_otherwise(scene))
+    aside = f"the scene's own, {own}, would distort the comparison" if own else "as the scene has it"
     yield f"Pictures are made with the Standard view transform: {aside}."
     yield (
         "Image metrics count the pixels that virtual objects cover, by how much they cover; psnr and ssim on "
