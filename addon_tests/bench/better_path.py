@@ -21,6 +21,7 @@ from typing import TextIO
 import bpy
 import numpy as np
 
+from xihe_blender.cli.arguments import picture_size
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.io.look_results import ObjectAdvice
 from xihe_blender.jobs import run_blocking
@@ -97,7 +98,7 @@ def main() -> None:
     parser.add_argument("--part", type=float, default=0.25, help="of the path that the phone goes")
     parser.add_argument("--random", type=int, default=4, help="random seconds for each object")
     parser.add_argument("--most", type=int, default=4, help="placements of a scene without virtual objects")
-    parser.add_argument("--size", type=lambda text: tuple(map(int, text.split("x"))), default=(128, 96))
+    parser.add_argument("--size", type=picture_size, default=(128, 96))
     parser.add_argument("--turn", type=float, default=LookSettings().largest_turn_deg, help="degrees at most")
     parser.add_argument("--tried", type=int, default=LookSettings().most_frames, help="frames at which looks are tried")
     parser.add_argument("--seed", type=int, default=0)
