@@ -585,7 +585,7 @@ def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd, monkeypat
     assert main(["import", str(recording), "--out", str(blend)]) == 0
     assert "Imported 4 frames" in capfd.readouterr().out
     assert_refused(xihe_here("import", recording, "--out", blend), "is there already")
-    assert_refused(xihe_here("import", tmp_path, "--out", tmp_path / "other.blend"), "holds no recording that is known")
+    assert_refused(xihe_here("import", tmp_path, "--out", tmp_path / "other.blend"), f"give {recording}")
     assert not (tmp_path / "other.blend").exists()
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     scene = bpy.context.scene
