@@ -74,8 +74,6 @@ def load_room(path: Path) -> StoredRoom:
     """Read what `save_room` wrote. ValueError naming the file if it is no such file, OSError if it cannot be read."""
     try:
         stored = read_npz(path)
-        if "panoramas" in stored:
-            raise ValueError("its format is that of an older version: build the data set again")
         content: dict[str, Any] = {f.name: stored[f.name] for f in fields(StoredRoom)}
         content |= {name: content[name].item() for name in ("exposure", "kind", "regime", "versions")}
     except (KeyError, ValueError) as error:
