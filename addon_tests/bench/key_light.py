@@ -30,11 +30,11 @@ from light_parts import walked_scene
 
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.io.blender_output import only_our_output
-from xihe_blender.previs.path_renders import true_reflections
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import WalkedPath
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.true_light import true_reflections
 from xihenet.buffers import merge_in_sight
 from xihenet.camera import unproject_frame
 from xihenet.colour import LUMINANCE, srgb_to_linear

@@ -28,14 +28,9 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.scene.units import seconds_of
-from xihenet.colour import linear_to_srgb
 from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame, save_frame
-from xihenet.light.reflections import rendered_reflections
-from xihenet.mirror_ball import seen_in_ball
-from xihenet.panorama import panorama_directions, solid_angles
-from xihenet.records import Reflections, RgbdFrame, UnitSphereCloud
-from xihenet.sphere import AnchorLattice
+from xihenet.records import RgbdFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,34 +154,6 @@ def _probe_render(frame: int, source: int, light: MeasuredLight, run: PreparedRu
         expected_error=finite_or_none(light.expected_error(target)),
         is_capped=is_too_noisy and samples >= aim.max_samples,
     )
-
-
-def true_reflections(run: PreparedRun, probe: Probe, frame: int, lattice: AnchorLattice) -> Reflections:
-    """What glossy things at `probe` reflect in `frame`, rendered, at the run's exposure."""
-    source, index = run.reuse.probes[frame, probe.name], run.plan.probes.index(probe)
-    ball = read_radiance(run.outputs.mirror_ball(index, probe.name, source))
-    return rendered_reflections(ball * np.float32(run.exposure), lattice)
-
-
-def true_view(run: PreparedRun, probe: Probe, frame: int, lattice: AnchorLattice) -> UnitSphereCloud:
-    """All that can be seen from `probe` in `frame`, rendered, as bright as it is: 1 is the brightest there is.
-
-    As glossy things see it where the run has that, else as cameras do, without lamps that are hidden from them.
-    """
-    source, index = run.reuse.probes[frame, probe.name], run.plan.probes.index(probe)
-    panorama = read_radiance(run.outputs.probe(index, probe.name, source))
-    height, width, _ = panorama.shape
-    directions = panorama_directions(height, width).reshape(-1, 3)
-    radiance = panorama.reshape(-1, 3)
-    if run.settings.has_reflections:
-        radiance = seen_in_ball(read_radiance(run.outputs.mirror_ball(index, probe.name, source)), directions)
-    anchors, weights = lattice.nearest(directions), solid_angles(height, width).ravel()
-    total = np.bincount(anchors, weights, len(lattice))
-    sums = [np.bincount(anchors, weights * radiance[:, channel].clip(0), len(lattice)) for channel in range(3)]
-    is_set = total > 0
-    means = np.stack(sums, axis=1) / np.where(is_set, total, 1.0)[:, None]
-    shown = linear_to_srgb(means / max(float(means.max()), 1e-12)).astype(np.float32)
-    return UnitSphereCloud(shown, is_set.astype(np.float32), is_set)
 
 
 def _reference(run: PreparedRun, probe: Probe, frame: int) -> Path:

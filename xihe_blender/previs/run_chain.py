@@ -12,36 +12,29 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from xihe_blender.capture.phone_surfaces import load_surfaces
-from xihe_blender.capture.reference_probe import MeasuredLight
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import finite_or_none, write_picture
 from xihe_blender.io.run_lights import as_coefficients, as_rgb
 from xihe_blender.io.run_results import FrameResult, OtherLight, ProbeResult
 from xihe_blender.jobs import Job
-from xihe_blender.previs.path_renders import (
-    FrameRenders,
-    kept_renders,
-    render_path,
-    rendering,
-    true_reflections,
-    true_view,
-)
+from xihe_blender.previs.path_renders import FrameRenders, kept_renders, render_path, rendering
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.simulated_phone import CaptureFacts, SimulatedPhone, facts_of_capture, simulate_phone
+from xihe_blender.previs.true_light import TrueLight
 from xihenet.camera import invalid_pixels
 from xihenet.invalid import CLAMPED
 from xihenet.io.recording import load_frame, save_frame
-from xihenet.light.key_light import mean_light, split_light, with_positions
+from xihenet.light.key_light import with_positions
 from xihenet.metrics import share_above_white, shc_rmse
 from xihenet.phone import Request, first_frame_after
 from xihenet.phone.session import PhoneSession
-from xihenet.records import ArrayF64, KeyLight, ObjectLight, Reflections, RgbdFrame, StepReport
+from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport
 
 Lights = dict[str, dict[str, ObjectLight]]
 """By method and virtual object."""
@@ -102,12 +95,7 @@ class _Walk:
             run.plan.probes, chain, run.estimator, phone.link_in_use, seed=seed, others=run.estimators[1:]
         )
         self.walked = WalkedPath(phone)
-        self.references: dict[str, MeasuredLight] = {}
-        """The last reference light of each probe."""
-        self.reflections: dict[str, tuple[int, Reflections]] = {}
-        """The last rendered reflections of each object's first probe, and their frame, where the run has any."""
-        self.true_keys: dict[str, tuple[int, KeyLight | None]] = {}
-        """The last key light of `truth` at each probe, and the frame of its light, where the run has any."""
+        self.truth = TrueLight(run, self.session.controller)
 
     def step(self, frame: int) -> None:
         start = time.perf_counter()
@@ -124,10 +112,7 @@ class _Walk:
     def _captured_frame(self, rendered: FrameRenders, start: float) -> FrameResult:
         """A frame, as the phone saw it, that goes through the chain; `stage_ms` adds up its positions."""
         run, target = self.run, self.run.settings.target
-        self.references |= rendered.references
-        self._see_reflections(rendered)
-        if run.settings.has_key_light:
-            self._see_true_keys(rendered)
+        self.truth.see(rendered.captured.frame, rendered.references)
         truth = {name: light.of(target) for name, light in rendered.references.items()}
         seen, n_lost = self.phone.see(rendered.captured, run.outputs)
         if seen is not rendered.captured and self.keeps_session:
@@ -180,39 +165,9 @@ class _Walk:
                     light = with_positions(light, places, each)
                 lights[method][item.name] = light
             lights["ambient"][item.name] = ObjectLight(ambient_sh)
-            if not self.run.has_truth:
-                continue
-            each = {name: self._true_light(name) for name in places}
-            _, reflections = self.reflections.get(next(iter(places)), (None, None))
-            light = replace(mean_light(list(each.values())), reflections=reflections)
-            lights["truth"][item.name] = with_positions(light, places, each) if len(places) > 1 else light
+            if self.run.has_truth:
+                lights["truth"][item.name] = self.truth.object_light(places, ambient_sh)
         return lights
-
-    def _see_reflections(self, rendered: FrameRenders) -> None:
-        lattice, frame = self.session.controller.fine_lattice, rendered.captured.frame
-        if lattice is None or not self.run.settings.has_reflections:
-            return
-        for probe in (self.run.plan.probes_of(item.name)[0] for item in self.run.plan.objects):
-            if probe.name in rendered.references:
-                source, kept = self.run.reuse.probes[frame, probe.name], self.reflections.get(probe.name)
-                if kept is None or kept[0] != source:
-                    self.reflections[probe.name] = source, true_reflections(self.run, probe, frame, lattice)
-
-    def _see_true_keys(self, rendered: FrameRenders) -> None:
-        """The key lights of `truth`, from all that there is to see at each position."""
-        lattice, frame = self.session.controller.lattice, rendered.captured.frame
-        for probe in (one for one in self.run.plan.probes if one.name in rendered.references):
-            source, kept = self.run.reuse.probes[frame, probe.name], self.true_keys.get(probe.name)
-            if kept is None or kept[0] != source:
-                view, previous = true_view(self.run, probe, frame, lattice), kept[1] if kept else None
-                split = split_light(rendered.references[probe.name].hdr, view, lattice, previous, is_exposed=False)
-                self.true_keys[probe.name] = source, split.key
-
-    def _true_light(self, name: str) -> ObjectLight:
-        if name not in self.references:
-            return ObjectLight(self.session.ambient_sh)
-        _, key = self.true_keys.get(name, (None, None))
-        return ObjectLight(self.references[name].hdr, key)
 
     def _other_lights(self, name: str, time_s: float, truth: ArrayF64 | None) -> dict[str, OtherLight]:
         lights = {other: self.session.light(name, time_s, other) for other in self.run.settings.others}
@@ -223,7 +178,7 @@ class _Walk:
 
     def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, seen: RgbdFrame) -> ProbeResult:
         """What one step did at one position, and the light in force there after it."""
-        reference, time_s = self.references.get(probe.name), seen.time_s
+        reference, time_s = self.truth.measured(probe.name), seen.time_s
         light = self.session.light(probe.name, time_s)
         truth = None if reference is None else reference.of(self.run.settings.target)
         arrival_frame, latency_ms = _arrival(request, self.run.phone.times_s)
