@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from addon_tests.pure.furnished import furniture, seen, walk_poses
+from addon_tests.pure.furnished import as_measured, furniture, seen, turn_by, walk_poses
 from addon_tests.pure.recordings import looking
 from xihenet.camera import ray_distance_from_plane_depth
 from xihenet.captures.conventions import fits, suspect
@@ -41,14 +41,6 @@ WRONG = {
 }
 
 
-def turn_by(vector):
-    """(3, 3) about a vector, by its length in radians: Rodrigues' formula."""
-    angle = np.linalg.norm(vector)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
 @functools.lru_cache(maxsize=64)
 def right(seed):
     """Twelve frames of a walk, in a world that lies and is turned somehow."""
@@ -57,20 +49,6 @@ def right(seed):
     world[:3, :3], world[:3, 3] = turn_by(np.array([0, 0, rng.uniform(0.1, 6)])), rng.uniform(-2, 2, 3)
     frames = [seen(pose, boxes, number) for number, pose in enumerate(walk_poses(seed))]
     return [replace(frame, world_from_camera=world @ frame.world_from_camera) for frame in frames]
-
-
-def as_measured(frames, seed, degrees=1.5):
-    """With 1 % of noise in depth, a fifth of it missing, and poses that are off by some degrees and centimetres."""
-    rng, measured = np.random.default_rng(1000 + seed), []
-    for frame in frames:
-        depth = frame.plane_depth_m * rng.normal(1, 0.01, frame.plane_depth_m.shape)
-        missing = rng.random(depth.shape) < 0.2
-        pose = frame.world_from_camera.copy()
-        axis = rng.normal(size=3)
-        pose[:3, :3] = pose[:3, :3] @ turn_by(np.radians(degrees) * axis / np.linalg.norm(axis))
-        pose[:3, 3] += rng.normal(0, 0.01, 3)
-        measured.append(replace(frame, plane_depth_m=np.where(missing, 0, depth), world_from_camera=pose))
-    return measured
 
 
 def walked(frames):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from addon_tests.pure.furnished import furniture, seen, walk_poses
+from addon_tests.pure.furnished import as_measured, furniture, seen, walk_poses
 from xihenet.captures import drift as module
 from xihenet.captures.drift import DriftFollower, follow_drift
 from xihenet.captures.gain_graph import Pair, solve_gains
@@ -32,20 +32,6 @@ def session(seed, gains, poses=None, noise=0.01, lit=None):
     ]
 
 
-def as_measured(frames, seed):
-    """Depth with 1 % of noise and holes of each kind, poses that are off by half a degree and a centimetre."""
-    rng, measured = np.random.default_rng(seed), []
-    for frame in frames:
-        depth = frame.plane_depth_m * rng.normal(1, 0.01, frame.plane_depth_m.shape)
-        depth = np.where(rng.random(depth.shape) < 0.2, rng.choice([0, np.nan, np.inf, -1], depth.shape), depth)
-        x, y, z = rng.normal(0, np.radians(0.5) / np.sqrt(3), 3)
-        small = np.eye(4)
-        small[:3] = [[1, -z, y, 0], [z, 1, -x, 0], [-y, x, 1, 0]]
-        small[:3, 3] = rng.normal(0, 0.01 / np.sqrt(3), 3)
-        measured.append(replace(frame, plane_depth_m=depth, world_from_camera=frame.world_from_camera @ small))
-    return measured
-
-
 def worst(drift, gains):
     return np.abs(drift.gains / gains - 1).max()
 
@@ -63,7 +49,7 @@ def test_gains_are_found_again(seed, sign):
 @pytest.mark.parametrize("seed", range(3))
 def test_gains_are_found_again_with_a_phones_depth_and_poses(seed):
     gains = drifting(np.random.default_rng(seed), 30)
-    found = follow_drift(as_measured(session(seed, gains, noise=0.02), seed))
+    found = follow_drift(as_measured(session(seed, gains, noise=0.02), seed, 0.5))
     assert found.is_known.all() and worst(found, gains) < 0.04
 
 
@@ -73,7 +59,7 @@ def test_a_session_that_does_not_drift_has_gains_of_1(seed):
     found = follow_drift(frames)
     assert found.is_known.all() and worst(found, 1.0) < 0.01
     # Poses that are off by half a degree move shaded walls by their shading.
-    found = follow_drift(as_measured(frames, seed))
+    found = follow_drift(as_measured(frames, seed, 0.5))
     assert found.is_known.all() and worst(found, 1.0) < 0.02
 
 
@@ -81,7 +67,7 @@ def test_a_session_that_does_not_drift_has_gains_of_1(seed):
 def test_errors_do_not_add_up_along_a_long_walk():
     """200 frames, once around and back to the start."""
     gains = drifting(np.random.default_rng(0), 200)
-    frames = as_measured(session(0, gains, walk_poses(0, 200, 2 * np.pi, 1.8)), 0)
+    frames = as_measured(session(0, gains, walk_poses(0, 200, 2 * np.pi, 1.8)), 0, 0.5)
     found = follow_drift(frames)
     off = np.abs(found.gains / gains - 1)
     assert found.is_known.all() and off.max() < 0.03
