@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from addon_tests.pure.made import pose_of
 from addon_tests.pure.recordings import looking
 from xihenet.camera import encode_exposed, pixel_rays
 from xihenet.records import Intrinsics, RgbdFrame
@@ -87,22 +89,14 @@ def walk_poses(seed, n=12, turn=None, length_m=None):
     return poses
 
 
-def turn_by(vector):
-    """(3, 3) about a vector, by its length in radians: Rodrigues' formula."""
-    angle = np.linalg.norm(vector)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-
-
 def as_measured(frames, seed, degrees=1.5):
     """The frames with 1 % of noise in depth, holes of each kind in a fifth of it, and poses some degrees and cm off."""
     rng, measured = np.random.default_rng(1000 + seed), []
     for frame in frames:
         depth = frame.plane_depth_m * rng.normal(1, 0.01, frame.plane_depth_m.shape)
         depth = np.where(rng.random(depth.shape) < 0.2, rng.choice([0, np.nan, np.inf, -1], depth.shape), depth)
-        pose, axis = frame.world_from_camera.copy(), rng.normal(size=3)
-        pose[:3, :3] = pose[:3, :3] @ turn_by(np.radians(degrees) * axis / np.linalg.norm(axis))
-        pose[:3, 3] += rng.normal(0, 0.01, 3)
+        axis = rng.normal(size=3)
+        turn = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis)).as_matrix()
+        pose = pose_of(frame.world_from_camera[:3, :3] @ turn, frame.world_from_camera[:3, 3] + rng.normal(0, 0.01, 3))
         measured.append(replace(frame, plane_depth_m=depth, world_from_camera=pose))
     return measured

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
+from addon_tests.pure import made
 from addon_tests.pure.recordings import PACKED, SMALL, TUM, UPRIGHT, VIDEO, doubted, walk
 from xihenet.camera import unproject_frame
 from xihenet.captures import open_capture
@@ -32,17 +34,10 @@ def points_of(depth_m, fx, fy, cx, cy, pose, looks_down_z):
     return np.array(points)[:, :3]
 
 
-def turned_by(q, vector):
-    """A vector turned by x, y, z, w: v + 2 w (u x v) + 2 u x (u x v)."""
-    u, w = np.array(q[:3]), q[3]
-    return vector + 2 * w * np.cross(u, vector) + 2 * np.cross(u, np.cross(u, vector))
-
-
 def pose_of(place, q):
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([turned_by(q, axis) for axis in np.eye(3)], axis=1)
-    pose[:3, 3] = place
-    return pose
+    """`q` is x, y, z, w, of length 1 as every tool expects it."""
+    assert np.linalg.norm(q) == pytest.approx(1, abs=1e-5)
+    return made.pose_of(Rotation.from_quat(q).as_matrix(), place)
 
 
 def z_up(points):

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from addon_tests.pure.furnished import as_measured, furniture, seen, turn_by, walk_poses
+from addon_tests.pure.furnished import as_measured, furniture, seen, walk_poses
+from addon_tests.pure.made import UPRIGHT, about_z, pose_of
 from addon_tests.pure.recordings import looking
 from xihenet.camera import ray_distance_from_plane_depth
 from xihenet.captures.conventions import fits, suspect
@@ -45,8 +46,7 @@ WRONG = {
 def right(seed):
     """Twelve frames of a walk, in a world that lies and is turned somehow."""
     rng, boxes = np.random.default_rng(seed), furniture(seed)
-    world = np.eye(4)
-    world[:3, :3], world[:3, 3] = turn_by(np.array([0, 0, rng.uniform(0.1, 6)])), rng.uniform(-2, 2, 3)
+    world = pose_of(about_z(rng.uniform(0.1, 6)), rng.uniform(-2, 2, 3))
     frames = [seen(pose, boxes, number) for number, pose in enumerate(walk_poses(seed))]
     return [replace(frame, world_from_camera=world @ frame.world_from_camera) for frame in frames]
 
@@ -161,11 +161,7 @@ def test_a_camera_that_only_pitches_looks_the_same_with_either_axes():
 def test_frames_that_share_nothing_in_a_square_room_are_not_accused():
     """Each wall is equally far: with transposed rotations all of them would be one wall, and agree."""
     flat = replace(right(0)[0], plane_depth_m=np.full((48, 64), 2.0))
-    poses = []
-    for quarter in range(4):
-        pose = np.eye(4)
-        pose[:3, :3] = turn_by(np.array([0, 0, np.pi / 2 * quarter + 1e-3])) @ [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-        poses.append(pose)
+    poses = [pose_of(about_z(np.pi / 2 * quarter + 1e-3) @ UPRIGHT) for quarter in range(4)]
     frames = [replace(flat, world_from_camera=pose) for pose in poses]
     assert fits(frames)["transposed", AS_READ].share > 0.9  # Which is the trap.
     assert suspect(frames) is None

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from addon_tests.pure.broken_recordings import metadata
 from addon_tests.pure.recordings import PACKED, SMALL, as_record3d, as_seven_scenes, looking, seen, walk
@@ -17,10 +18,7 @@ SCENES = Intrinsics(64, 48, 58.5, 58.5, 32.0, 24.0)
 
 def turned(axis, degrees):
     """(3, 3) about an axis."""
-    x, y, z = axis = np.array(axis) / np.linalg.norm(axis)
-    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    angle = np.radians(degrees)
-    return np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew
+    return Rotation.from_rotvec(np.radians(degrees) * np.array(axis) / np.linalg.norm(axis)).as_matrix()
 
 
 def noisy(frames, sigma_m, seed=0):

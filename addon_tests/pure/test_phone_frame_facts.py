@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from addon_tests.pure import made
 from addon_tests.pure.made import pose_of
@@ -17,8 +18,7 @@ def facts_from_frames(frames, positions_m, **known):
 
 
 def frame_of(plane_depth_m, *, colour=128, time_s=0.0, x=0.0, yaw_deg=0.0, number=0):
-    c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
-    pose = pose_of([[c, 0, s], [0, 1, 0], [-s, 0, c]], [x, 0, 0])
+    pose = pose_of(Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix(), [x, 0, 0])
     plane_depth_m = np.broadcast_to(plane_depth_m, (30, 40))
     return made.frame_of(plane_depth_m, CAMERA, pose, colour, exposure=0.5, time_s=time_s, frame=number)
 

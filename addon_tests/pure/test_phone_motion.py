@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from addon_tests.pure import made
-from addon_tests.pure.made import pose_of
+from addon_tests.pure.made import about_z, pose_of
 from xihenet.camera import pixel_rays
 from xihenet.phone.motion import (
     CameraMotion,
@@ -24,19 +25,10 @@ DRIFT = PoseDrift(source="test", position_m_per_sqrt_s=0.02, yaw_deg_per_sqrt_s=
 STILL = CameraMotion(np.zeros(3), np.zeros(3))
 
 
-def turned(vector):
-    angle = np.linalg.norm(vector)
-    if angle == 0:
-        return np.eye(3)
-    x, y, z = np.asarray(vector) / angle
-    k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
-
-
 def some_pose(seed):
     rng = np.random.default_rng(seed)
     # Within some 30 degrees of looking at the wall below.
-    axes = turned([0, 0, rng.uniform(-3, 3)]) @ turned(rng.uniform(-0.3, 0.3, 3))
+    axes = about_z(rng.uniform(-3, 3)) @ Rotation.from_rotvec(rng.uniform(-0.3, 0.3, 3)).as_matrix()
     return pose_of(axes, rng.uniform(-0.5, 0.5, 3))
 
 
@@ -135,7 +127,8 @@ def test_one_pixel_is_its_own_middle_row():
 def test_motion_between_two_poses_leads_from_one_to_the_other(seed):
     before, after = some_pose(seed), some_pose(seed + 10)
     motion = motion_between(before, after, 0.5)
-    np.testing.assert_allclose(turned(motion.turn_rad_per_s * 0.5) @ before[:3, :3], after[:3, :3], atol=1e-9)
+    turn = Rotation.from_rotvec(motion.turn_rad_per_s * 0.5).as_matrix()
+    np.testing.assert_allclose(turn @ before[:3, :3], after[:3, :3], atol=1e-9)
     np.testing.assert_allclose(before[:3, 3] + 0.5 * motion.velocity_m_per_s, after[:3, 3])
     assert motion_between(before, before, 1.0).velocity_m_per_s.tolist() == [0, 0, 0]
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from xihenet.light.light_picture import SPHERES, sphere_mask, three_spheres
 from xihenet.metrics import angular_error, image_rmse, shc_rmse, si_rmse
@@ -44,11 +45,6 @@ def nasty_pairs():
     return made, truth
 
 
-def rotation_about_x(degrees):
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-
-
 def test_a_perfect_prediction_is_wrong_by_nothing():
     truth = lights(20)
     scores = Scores.of(truth, truth, np.full(20, 0.5))
@@ -79,7 +75,8 @@ def test_irradiance_is_relative_to_the_true_one():
 def test_a_turned_dominant_light_is_wrong_by_the_turn(degrees):
     truth = np.zeros((5, 9, 3))
     truth[:, 0], truth[:, 1], truth[:, 2] = 1.0, 0.3, 0.4  # towards +Y and up, across the axis it is turned about
-    turned = np.array([rotate(light, rotation_about_x(degrees)) for light in truth])
+    turn = Rotation.from_euler("x", degrees, degrees=True).as_matrix()
+    turned = np.array([rotate(light, turn) for light in truth])
     found = dominant_light(turned, truth)
     np.testing.assert_allclose(found.median_deg, degrees)
     assert found.n_left_out == 0

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from addon_tests.hard_case import at_most, equal, near, refused, row, that
 from xihenet.camera import in_view, project_points, ray_distance_from_plane_depth, unproject_frame
@@ -16,12 +17,7 @@ PLACE_M = np.array([1.0, -2.0, 1.5])
 
 def turned(axis: str, degrees: float) -> np.ndarray:
     """(3, 3) rotation about a world axis."""
-    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    matrix = np.eye(3)
-    matrix[first, first] = matrix[second, second] = np.cos(np.radians(degrees))
-    matrix[second, first] = np.sin(np.radians(degrees))
-    matrix[first, second] = -matrix[second, first]
-    return matrix
+    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
 
 
 def posed(axes: np.ndarray, place_m: Any = PLACE_M) -> np.ndarray:
