@@ -25,7 +25,7 @@ from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.cli.main import main
 from xihe_blender.compare.side_by_side import read_picture
 from xihe_blender.errors import UserError
-from xihe_blender.footage.import_capture import capture_of, import_capture
+from xihe_blender.footage.import_capture import capture_of, import_capture, recording_at
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
@@ -206,6 +206,16 @@ def test_every_kind_of_recording_becomes_a_scan_with_gravity_down(tmp_path, name
     floor = np.array([tuple(face.normal) for face in made.scan.data.polygons])[:, 2] > 0.9
     low = np.array([face.center.z for face in made.scan.data.polygons])[floor]
     assert np.median(low) < np.median(points[:, 2])
+
+
+def test_a_file_or_folder_in_a_recording_stands_for_it(tmp_path):
+    write, intrinsics = LAYOUTS["Polycam"]
+    path = write(tmp_path / "walk", walk(intrinsics, 2))
+    picture = next((path / "keyframes" / "images").iterdir())
+    for chosen in (path, path / "keyframes", picture.parent, picture):
+        assert recording_at(chosen) == path
+    for other in (tmp_path, path / "gone"):
+        assert recording_at(other) == other
 
 
 def test_what_is_set_by_hand_is_remembered(tmp_path):

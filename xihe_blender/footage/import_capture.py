@@ -41,6 +41,7 @@ COLLECTION, CAMERA, SCAN_NAME, LOOKED_AT = "Phone Capture", "Phone", "Phone Scan
 LOOKED_AT_M = 1.0
 """In front of the camera, where its first frame has no depth."""
 
+DEEPEST = 3  # Folders above a file of a recording, as of Polycam's keyframes/images/1.jpg
 OUTSIDE = "this Blender cannot read it: run `xihe import` outside of Blender, with the package installed"
 
 
@@ -74,8 +75,8 @@ def opened_capture(chosen: ChosenCapture) -> Capture:
 
 
 def recording_at(path: Path) -> Path:
-    """The recording that was chosen: a file in the folder of one stands for the folder, if it is none itself."""
-    for place in (path, path.parent) if path.is_file() else (path,):
+    """The recording that was chosen: a file or folder in one stands for it, if it is none itself."""
+    for place in (path, *path.parents[:DEEPEST]) if path.exists() else ():
         if any(is_in(place) for is_in, _ in READERS.values()):
             return place
     return path
