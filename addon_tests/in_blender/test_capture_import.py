@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -25,7 +26,13 @@ from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.cli.main import main
 from xihe_blender.compare.side_by_side import read_picture
 from xihe_blender.errors import UserError
-from xihe_blender.footage.import_capture import capture_of, import_capture, recording_at
+from xihe_blender.footage.import_capture import (
+    capture_of,
+    import_capture,
+    opened_capture,
+    recording_at,
+    steadied_frames,
+)
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
@@ -216,6 +223,25 @@ def test_a_file_or_folder_in_a_recording_stands_for_it(tmp_path):
         assert recording_at(chosen) == path
     for other in (tmp_path, path / "gone"):
         assert recording_at(other) == other
+
+
+@pytest.mark.parametrize("name", ["Record3D", "Stray Scanner", "Nerfstudio"])
+def test_a_blender_without_packages_runs_on_the_frames_that_an_import_kept(tmp_path, monkeypatch, name):
+    write, intrinsics = LAYOUTS[name]
+    path = write(tmp_path / "walk", walk(intrinsics, 3))
+    scene, chosen = empty_scene(), ChosenCapture(path, None, 2.0, 0.5)
+    run_blocking(import_capture(scene, chosen, blend_folder=tmp_path, keeps_frames=True))
+    expected = {n: one.read() for n, one in steadied_frames(opened_capture(chosen)).items()}
+    for package in ("PIL", "lzfse", "av"):
+        monkeypatch.setitem(sys.modules, package, None)
+    found = {n: one.read() for n, one in steadied_frames(capture_of(scene)).items()}
+    assert found.keys() == expected.keys()
+    for number, frame in found.items():
+        was = expected[number]
+        assert (frame.srgb_u8 == was.srgb_u8).all() and (frame.plane_depth_m == was.plane_depth_m).all()
+        np.testing.assert_array_equal(frame.world_from_camera, was.world_from_camera)
+        np.testing.assert_array_equal(frame.white_balance, was.white_balance)
+        assert (frame.exposure, frame.time_s, frame.intrinsics) == (was.exposure, was.time_s, was.intrinsics)
 
 
 def test_what_is_set_by_hand_is_remembered(tmp_path):

@@ -20,7 +20,9 @@ class XIHE_OT_explain(Action, bpy.types.Operator):
     bl_label = "Explain"
     bl_options = {"INTERNAL"}
 
-    meaning: bpy.props.StringProperty(name="Meaning", description="The words that explain what stands beside the button")
+    meaning: bpy.props.StringProperty(
+        name="Meaning", description="The words that explain what stands beside the button"
+    )
 
     @classmethod
     def description(cls, _context: bpy.types.Context, properties: XIHE_OT_explain) -> str:

@@ -37,7 +37,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     # Cycles alone knows shadow catchers, and pictures are to look as they were taken.
     scene.render.engine, scene.view_settings.view_transform = "CYCLES", "Standard"
     chosen = ChosenCapture(recording_at(options.recording), options.up, options.scale, options.floor)
-    job = import_capture(scene, chosen, blend_folder=out.parent)
+    job = import_capture(scene, chosen, blend_folder=out.parent, keeps_frames=True)
     imported = run_blocking(job, progress_line(stderr))
     with written_whole(out) as beside:
         bpy.ops.wm.save_as_mainfile(filepath=str(beside.resolve()), compress=True)

@@ -33,8 +33,9 @@ from xihenet.camera import valid_plane_depth
 from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.checks import steadied, suspicion
-from xihenet.captures.reading import READERS
+from xihenet.captures.reading import READERS, xihe_session
 from xihenet.captures.scan import FARTHEST_M, Scan
+from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import ArrayF64, RgbdFrame
 
 COLLECTION, CAMERA, SCAN_NAME, LOOKED_AT = "Phone Capture", "Phone", "Phone Scan", "Xihe looked here first"
@@ -118,7 +119,7 @@ def steadied_frames(capture: Capture) -> dict[int, CapturedFrame]:
 
 
 def import_capture(
-    scene: bpy.types.Scene, chosen: ChosenCapture, *, blend_folder: Path | None = None
+    scene: bpy.types.Scene, chosen: ChosenCapture, *, blend_folder: Path | None = None, keeps_frames: bool = False
 ) -> Job[ImportedCapture]:
     """A job, a step per frame: bring a recording into `scene`.
 
@@ -126,6 +127,8 @@ def import_capture(
     ----------
     blend_folder : where the .blend is or will be, and the folder of pictures beside it; None takes the open file's, or
         for one that was never saved the place of the recording
+    keeps_frames : whether a recording that takes packages to be read is kept beside the pictures in our own form too,
+        for runs in a Blender without them
 
     UserError for a recording that cannot be read, with the scene as it was; OSError where no pictures can be written.
     """
@@ -134,6 +137,7 @@ def import_capture(
     if blend_folder is None and bpy.data.filepath:
         blend_folder = Path(bpy.data.filepath).parent
     pictures = new_footage_folder(blend_folder or chosen.path.resolve().parent, chosen.path.resolve().stem)
+    remembered, kept = chosen, pictures.with_name(f"{pictures.name}_frames")
     try:
         footage = Footage(pictures, numbered)
         scan, first = yield from _read(capture, numbered, footage)
@@ -141,11 +145,14 @@ def import_capture(
         with said_in_one_line():
             doubt = suspicion(capture)
         notes = capture.notes if doubt is None else (*capture.notes, doubt)
+        if keeps_frames and capture.format_name != xihe_session.FORMAT_NAME:
+            remembered = yield from _keep_frames(capture, kept)
         imported = _build(scene, capture, numbered, footage, scan, first, blend_folder)
     except BaseException:
         shutil.rmtree(pictures, ignore_errors=True)
+        shutil.rmtree(kept, ignore_errors=True)
         raise
-    remember_capture(scene, chosen, blend_folder)
+    remember_capture(scene, remembered, blend_folder)
     return replace(imported, said=(*imported.said, *notes))
 
 
@@ -163,6 +170,21 @@ def _read(capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Foot
         footage.add(number, frame)
     footage.close_gaps()
     return scan, first
+
+
+def _keep_frames(capture: Capture, folder: Path) -> Job[ChosenCapture]:
+    """A job, a step per frame: the recording in our own form in `folder`, as a run would read it.
+
+    Up, scale and floor are as in `capture`; exposure and white balance that drifted unsaid are followed.
+    """
+    with said_in_one_line():
+        frames = capture.frames if capture.is_exposure_known else steadied(capture)[0].frames
+    source = f"a recording of the kind {capture.format_name}"
+    recorder = SessionRecorder(folder, SessionFacts(source, capture.notes, capture.reference_exposure, capture.trigger))
+    for done, captured in enumerate(frames):
+        yield Progress(done, len(frames), f"keeping frame {captured.number} for Blender")
+        recorder.record(read_captured(captured))
+    return ChosenCapture(folder)
 
 
 def _build(

@@ -9,7 +9,7 @@ from xihenet.captures.capture import Capture
 from xihenet.captures.reading import nerfstudio, plain, polycam, record3d, seven_scenes, stray, tum, xihe_session
 
 READERS: dict[str, tuple[Callable[[Path], bool], Callable[[Path, str | None], Capture]]] = {
-    "Xihe session": (xihe_session.is_in, xihe_session.read),
+    xihe_session.FORMAT_NAME: (xihe_session.is_in, xihe_session.read),
     "Record3D": (record3d.is_in, record3d.read),
     "Stray Scanner": (stray.is_in, stray.read),
     "Polycam": (polycam.is_in, polycam.read),

@@ -11,6 +11,7 @@ from xihenet.captures.capture import Capture, CapturedFrame, inside, n_frames
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.io.recording import FRAME_FILES, SESSION_FILE, load_frame, read_header, read_session
 
+FORMAT_NAME = "Xihe session"
 NUMBER = re.compile(r"frame_(\d{1,9})\.exr")
 
 
@@ -27,7 +28,7 @@ def read(folder: Path, up: str | None) -> Capture:
     if not paths:
         raise ValueError(f"{folder}: no frames ({FRAME_FILES}) beside {SESSION_FILE}: record again")
     return Capture(
-        "Xihe session",
+        FORMAT_NAME,
         [_frame(path) for path in paths],
         BLENDER_FROM_UP["z"],
         (*facts.not_known, *_gaps(paths)),
