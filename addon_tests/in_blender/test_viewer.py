@@ -47,6 +47,7 @@ def test_the_page_is_one_file_that_asks_for_nothing(done):
     assert "default-src 'none'" in page and "Permission is hereby granted" in page
     assert not re.search(r'(src|href)="', page) and page.count("<script") == page.count("</script>") == 3
     assert "$" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert "needs WebGL 2" in page and "<noscript><p>This page draws with JavaScript" in page
 
 
 def test_frames_have_what_the_phone_saw_and_where_it_was(done):

@@ -17,7 +17,17 @@ const inflated = async (base64) => {
 
 // -------------------------------------------------------------------------------------------------------- what is drawn
 
-const renderer = new THREE.WebGLRenderer({ canvas: element("picture"), antialias: false });
+function newRenderer() {
+  try {
+    return new THREE.WebGLRenderer({ canvas: element("picture"), antialias: false });
+  } catch (error) {
+    const fix = "open it in another one, or switch on graphics acceleration in its settings";
+    element("note").textContent = `This page needs WebGL 2, which this browser does not give: ${fix}.`;
+    throw error;
+  }
+}
+
+const renderer = newRenderer();
 renderer.autoClear = false;
 renderer.shadowMap.enabled = true;
 renderer.shadowMap.type = THREE.PCFShadowMap;
