@@ -437,7 +437,10 @@ function listen() {
   });
   stage.addEventListener("pointermove", (event) => stage.hasPointerCapture(event.pointerId) && dragged(event));
   window.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.altKey || event.metaKey) return; // The browser's own, such as Alt and an arrow: back.
     const isTyping = ["SELECT", "INPUT"].includes(event.target.tagName) && event.target.id !== "compare";
+    const isPressed = event.key === " " && (event.target.tagName === "BUTTON" || event.target.id === "compare");
+    const key = event.key === "W" ? "w" : event.key;
     const actions = {
       " ": toggle,
       ArrowRight: () => go(at + 1),
@@ -446,8 +449,8 @@ function listen() {
       End: () => go(data.frames.length - 1),
       w: () => element("compare").click(),
     };
-    const action = actions[event.key];
-    if (!action || (isTyping && event.key !== "w") || (event.key === " " && event.target.tagName === "BUTTON")) return;
+    const action = actions[key];
+    if (!action || (isTyping && key !== "w") || isPressed) return;
     event.preventDefault();
     action();
   });
