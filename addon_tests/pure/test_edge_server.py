@@ -398,6 +398,20 @@ def test_slow_clients_are_cut_off_and_others_answered_meanwhile():
         assert "xihe_connections 1" in server.ask("GET", "/metrics")[1]
 
 
+def test_a_client_that_does_not_take_its_answers_is_cut_off():
+    with (
+        EdgeServer(ServerSettings(port=0, header_s=0.5)) as server,
+        socket.create_connection(("127.0.0.1", server.port), timeout=0.2) as connection,
+    ):
+        with contextlib.suppress(TimeoutError):
+            for _ in range(10_000):
+                connection.sendall(b"GET /openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * 100)
+        started = time.monotonic()
+        while "xihe_connections 1\n" not in server.ask("GET", "/metrics")[1]:
+            assert time.monotonic() - started < 5
+            time.sleep(0.1)
+
+
 def test_a_client_whose_bytes_trickle_is_cut_off_all_the_same():
     with EdgeServer(ServerSettings(port=0, header_s=0.4, body_s=0.4)) as server:
         for whole in (b"GET /health HTTP/1.1\r\nHost: x\r\nA: ", LONG + b"Content-Length: 100\r\n\r\n"):

@@ -27,7 +27,8 @@ class ServerSettings:
     key: Path | None = None
     bearer: str = ""  # token that each request must carry, but for health
     log: Literal["faults", "all"] = "faults"
-    header_s: float = 30.0  # from a connection's start, or its last answer, to the end of the next headers
+    header_s: float = 30.0  # from a connection's start, or its last answer, to the end of the next headers; and for an
+    # answer to be taken
     body_s: float = 5.0  # to the end of the body
     max_header_bytes: int = 16_384
     max_connections: int = 512  # each holds 64 kB of body at most

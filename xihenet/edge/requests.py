@@ -2,7 +2,8 @@
 
 Tornado reads and checks the HTTP. What it has above that, its handlers and a timer for each step of a request, takes
 longer than decoding a cloud and is not used: a look around in a while closes what is late. The headers of a request
-have a time to be complete in, and its body another, however the bytes trickle.
+have a time to be complete in, and its body another, however the bytes trickle. An answer has the time of headers to be
+taken in.
 
 A body that is too long is refused as soon as that is known, and then read on and thrown away: closing the connection
 under what still arrives would reset it, and its client would not get to read why. The connection is closed at once
@@ -78,7 +79,7 @@ class Request(httputil.HTTPMessageDelegate):
         self._server.expect_nothing(self._connection.stream)
         self._is_read = True
         if self._is_answered:
-            self._connection.finish()
+            self._finish()
         else:
             self._server.answer(self)
 
@@ -91,7 +92,12 @@ class Request(httputil.HTTPMessageDelegate):
         text = f"HTTP/1.1 {status:d} {status.phrase}\r\n{head}\r\n"
         self._connection.write(text.encode("latin1") + (b"" if self.method == "HEAD" else body))
         if self._is_read:
-            self._connection.finish()
+            self._finish()
+
+    def _finish(self) -> None:
+        # Whoever does not take the answer would keep the connection for good.
+        self._server.expect(self._connection.stream, self._server.settings.header_s)
+        self._connection.finish()
 
     @property
     def is_too_long(self) -> bool:
