@@ -6,9 +6,10 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
+from effect_scenes import nodes_of, shader_node
 from previs_runs import DRAFT, SMALL, QuickProbes, run, walk
 from results_schema import without_times
-from tiny_scenes import empty_scene, linked, room_with_a_virtual_sphere, saved, set_world, sphere
+from tiny_scenes import box, empty_scene, linked, opened, phone, room_with_a_virtual_sphere, saved, set_world, sphere
 
 from xihe_blender.apply.datablocks import LIT_SCENE, lights_by_sh, world_name
 from xihe_blender.apply.session import XiheController
@@ -22,7 +23,7 @@ from xihe_blender.lab.rooms.settings import RoomRenderSettings
 from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
-from xihe_blender.previs.scene_faults import unseen_faults
+from xihe_blender.previs.scene_faults import faults_at_frame, unseen_faults
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.estimation_positions import estimation_positions
@@ -190,8 +191,8 @@ def test_a_library_or_an_image_that_has_changed_since_makes_another_run(library,
 
 
 def test_all_files_that_a_render_reads_are_known_and_no_others(tmp_path):
-    scene = walk(2)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    walk(2)
+    scene = opened(saved(tmp_path / "room.blend"))
     assert files_read() == []
 
     def here(*names):
@@ -210,22 +211,48 @@ def test_all_files_that_a_render_reads_are_known_and_no_others(tmp_path):
 
     lamp = bpy.data.lights.new("Lamp", "POINT")
     lamp.use_nodes = True
-    for node_type, path in (("TexIES", "//lamp.ies"), ("Script", "//lamp.osl")):
-        node = lamp.node_tree.nodes.new(f"ShaderNode{node_type}")
-        node.mode, node.filepath = "EXTERNAL", path
+    node = shader_node(lamp.node_tree, "TexIES")
+    node.mode, node.filepath = "EXTERNAL", "//lamp.ies"
     table = scene.objects["Table"]
     table.modifiers.new("", "MESH_CACHE").filepath = "//table.mdd"
     table.modifiers.new("", "OCEAN").filepath = "//ocean"
     cloth = table.modifiers.new("", "CLOTH").point_cache
     cloth.use_disk_cache = True
     fluid = table.modifiers.new("", "FLUID")
+    fluid.show_viewport = fluid.show_render = False  # Evaluated without a simulation it crashes Blender.
     fluid.fluid_type = "DOMAIN"
     fluid.domain_settings.cache_directory = "//fluid"
-    now = here("lamp.ies", "lamp.osl", "table.mdd")
+    now = here("lamp.ies", "table.mdd")
     assert now < set(files_read()) and not here("ocean/**/*", "fluid/**/*") & set(files_read())
     fluid.domain_settings.cache_type = "ALL"
     cloth.use_external, cloth.filepath = True, "//cloth"
     assert here("fluid/**/*", "cloth/**/*") < set(files_read())
+
+
+def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_path):
+    scene = empty_scene()
+    phone(scene, (0, -2, 1), (0, 0, 0))
+    images = [bpy.data.images.new(name, 4, 4) for name in ("wall", "sky", "there", "unused", "behind", "packed")]
+    for image in images:
+        image.source, image.filepath = "FILE", str(tmp_path / f"{image.name}.png")
+    (tmp_path / "there.png").write_bytes(b"any")
+    images[5].source = "GENERATED"
+    images[5].pack()
+    look = bpy.data.materials.new("look")
+    tree, _ = nodes_of(look)
+    for image in (images[0], images[2], images[5]):
+        shader_node(tree, "TexImage").image = image
+    box(scene, "Box", (0, 0, 0), (1, 1, 1), look)
+    shown_in_the_sky(images[1])
+    shader_node(nodes_of(bpy.data.materials.new("unused"))[0], "TexImage").image = images[3]
+    scene.camera.data.background_images.new().image = images[4]
+    smoke = bpy.data.volumes.new("smoke")
+    smoke.filepath = str(tmp_path / "smoke.vdb")
+    scene.collection.objects.link(bpy.data.objects.new("Smoke", smoke))
+    bpy.context.view_layer.update()
+    faults = {fault.name: fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get())}
+    assert faults.keys() == {"wall", "sky", "smoke"}
+    assert "pink" in faults["sky"] and "without it" in faults["smoke"]
 
 
 def shown_in_the_sky(image):

@@ -105,7 +105,7 @@ def contents_sha256(patterns: Iterable[str]) -> str | None:
     None where there is no such file, or none that can be read.
     """
     whole, digest = hashlib.sha256(), None
-    for path in sorted({path for pattern in map(Path, patterns) for path in _matching(pattern)}):
+    for path in sorted({path for pattern in patterns for path in matching(pattern)}):
         with contextlib.suppress(OSError), path.open("rb") as file:  # Nor can Blender read it.
             state = os.fstat(file.fileno())
             whole.update(os.fsencode(path.name) + b"/" + _content_digest(path, state.st_size, state.st_mtime_ns))
@@ -120,8 +120,11 @@ def _content_digest(path: Path, _size: int, _mtime_ns: int) -> bytes:
         return hashlib.file_digest(file, "sha256").digest()
 
 
-def _matching(pattern: Path) -> Iterable[Path]:
-    return Path(pattern.anchor).glob(str(pattern.relative_to(pattern.anchor)))
+def matching(pattern: str) -> Iterable[Path]:
+    """All files and folders that match an absolute pattern of `glob`."""
+    path = Path(pattern)
+    below = str(path.relative_to(path.anchor))
+    return () if below == "." else Path(path.anchor).glob(below)
 
 
 VERSIONS = {"xihe": "version of xihe", "format": "version of xihe", "blender": "version of Blender"}

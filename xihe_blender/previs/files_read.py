@@ -29,18 +29,29 @@ def files_read() -> list[str]:
     return sorted({*_blocks(), *_nodes(), *_caches()})
 
 
+def file_of(block: Any) -> str | None:
+    """The pattern of what an image, film, volume, font, library or cache of moving meshes is read from.
+
+    None for one that is within the .blend.
+    """
+    is_packed = getattr(block, "packed_file", None) is not None or len(getattr(block, "packed_files", ()))
+    if is_packed or block.filepath in ("", "<builtin>") or getattr(block, "source", "") in ("GENERATED", "VIEWER"):
+        return None
+    is_sequence = getattr(block, "is_sequence", False) or getattr(block, "source", "") == "SEQUENCE"
+    return _pattern(block, block.filepath, is_sequence=is_sequence)
+
+
 def _blocks() -> Iterator[str]:
     """Libraries, pictures and films, volumes, fonts, and files of meshes that move (Alembic, USD)."""
-    for block in (*bpy.data.libraries, *_shown(bpy.data.images), *_shown(bpy.data.movieclips)):
-        yield _pattern(block, block.filepath, is_sequence=getattr(block, "source", "") == "SEQUENCE")
-    for block in (*bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts):
-        if getattr(block, "packed_file", None) is None and block.filepath not in ("", "<builtin>"):
-            yield _pattern(block, block.filepath, is_sequence=getattr(block, "is_sequence", False))
+    shown = (*_shown(bpy.data.images), *_shown(bpy.data.movieclips))
+    yield from filter(
+        None, map(file_of, (*bpy.data.libraries, *shown, *bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts))
+    )
 
 
 def _shown(blocks: Any) -> Iterator[Any]:
-    """Those of the pictures or clips that are in files of their own, and that a render may show."""
-    users = bpy.data.user_map(subset=[one for one in blocks if one.filepath and not getattr(one, "packed_files", ())])
+    """Those of the pictures or clips that a render may show."""
+    users = bpy.data.user_map(subset=list(blocks))
     for block, of_block in users.items():
         if not block.name.startswith(PREFIX) and any(not isinstance(user, LOOKED_AT_IN) for user in of_block):
             yield block

@@ -16,9 +16,12 @@ from collections.abc import Iterable, Iterator
 import bpy
 import numpy as np
 
+from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.errors import UserError
+from xihe_blender.io.folder_manifest import matching
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
+from xihe_blender.previs.files_read import file_of
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.shader_nodes import constant, has_nodes
@@ -37,6 +40,8 @@ NEAREST_M, FARTHEST_M = 0.02, 100.0
 
 COUNTED_AT_ONCE = 2**20
 """Pixels: an HDRI may have a hundred million."""
+
+READ_FROM_FILES = (bpy.types.Image, bpy.types.Volume, bpy.types.CacheFile)
 
 NEGLIGIBLE_SHARE = 1e-4
 """Of an image's light: what colours outside Rec.709 take away as negative numbers, in HDRIs from real places."""
@@ -70,7 +75,19 @@ def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool) -> list[F
         if not np.isfinite(item.matrix_world).all():
             said = f"Object {item.name!r} has no finite location: Cycles leaves it out. "
             faults.append(Fault(name=item.name, n=1, said=said + "Check its scale and its constraints."))
+    faults += _missing_files(seen)
     return faults + [fault for block in seen if isinstance(block, bpy.types.Mesh) for fault in _mesh_faults(block)]
+
+
+def _missing_files(blocks: Iterable[bpy.types.ID]) -> Iterator[Fault]:
+    """Images, volumes and caches among `blocks` whose file is not there; Blender says so only on its console."""
+    for block in blocks:
+        if isinstance(block, READ_FROM_FILES) and not block.original.name.startswith(PREFIX):
+            pattern = file_of(block.original)
+            if pattern is not None and not any(matching(pattern)):
+                drawn = "pink in its place" if isinstance(block, bpy.types.Image) else "without it"
+                said = f"The file of {block.name!r}, {block.original.filepath}, is not there: Cycles renders {drawn}. "
+                yield Fault(name=block.name, n=1, said=said + "Put the file back where Blender looks for it.")
 
 
 def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[tuple[str, str, float, bool]]:
