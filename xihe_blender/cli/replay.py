@@ -28,6 +28,7 @@ from xihenet.captures.reading import READERS
 from xihenet.captures.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.estimators import Estimator
+from xihenet.formats import format_count
 from xihenet.invalid import added, format_reason, left_out, n_left_out
 from xihenet.io.png import encode_png
 from xihenet.left_out import EstimatorScore, score_places, score_session
@@ -159,7 +160,9 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     for one in score or ():
         interval = "" if one.low is None else f" ({one.low:.3f} to {one.high:.3f})"
         against = "" if one.estimator == "ambient" else f", better than ambient at {one.share_better:.0%} of them"
-        print(f"{one.estimator}: {one.rmse:.3f}{interval} at {one.n_places} places{against}", file=stdout)
+        print(
+            f"{one.estimator}: {one.rmse:.3f}{interval} at {format_count(one.n_places, 'place')}{against}", file=stdout
+        )
     if score is not None:
         print(f"xihe: note: {SCORE_SAYS if score else NOT_ASKED}", file=stderr)
 
@@ -365,11 +368,12 @@ def _shown_frames(capture: Capture, places: Sequence[Place]) -> list[tuple[int, 
 
 def _told(place: Place, n_frames: int) -> str:
     if not place.lights:
-        return f"{place.where}: no light could be known in {n_frames} frames{_why_unknown(place)}"
+        return f"{place.where}: no light could be known in {format_count(n_frames, 'frame')}{_why_unknown(place)}"
     last = place.lights[-1]
     expected = "" if last["expected_error"] is None else f", expected error {last['expected_error']:.3f}"
     seen = f"{place.coverage:.0%} of the sphere seen"
-    return f"{place.where}: {len(place.lights)} estimates in {n_frames} frames, {seen}{expected}"
+    made, frames = format_count(len(place.lights), "estimate"), format_count(n_frames, "frame")
+    return f"{place.where}: {made} in {frames}, {seen}{expected}"
 
 
 def _why_unknown(place: Place) -> str:
