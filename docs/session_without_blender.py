@@ -26,7 +26,8 @@ def main(path):
     with np.load(path) as room:
         position_m = room["positions_m"][room["is_in_view"].sum(axis=0).argmax()]
     estimator = xihenet.estimators.load("lattice", target="hdr")
-    settings = xihenet.ControllerSettings(learns_out_of_view=True)
+    trigger = xihenet.TriggerSettings(theta=0.005, ignored_share=0.25)
+    settings = xihenet.ControllerSettings(trigger, learns_out_of_view=True)
     session = xihenet.XiheController(xihenet.LocalBackend(estimator), settings)
     session.add_position("vase", position_m)
     for number, frame in enumerate(frames(path)):

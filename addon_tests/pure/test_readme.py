@@ -16,6 +16,7 @@ from xihenet import __version__, estimators
 from xihenet.captures.reading import READERS
 from xihenet.light.platforms import PLATFORMS
 from xihenet.phone import LINKS, PHONE_EFFECTS, profile_names
+from xihenet.replay import REPLAY_TRIGGER
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -72,15 +73,19 @@ SESSIONS = [ROOT / "docs" / name for name in ("python.md", "edge.md", "session_w
 
 @pytest.mark.parametrize("page", SESSIONS, ids=lambda page: page.name)
 def test_sessions_of_the_docs_have_the_settings_of_the_commands(page):
-    """Those of `xihe replay`: all of the light, and what is learned while a position is out of view."""
+    """Those of `xihe replay`: all of the light, its trigger, and what is learned while a position is out of view."""
+    trigger = f"TriggerSettings(theta={REPLAY_TRIGGER.theta}, ignored_share={REPLAY_TRIGGER.ignored_share})"
     sessions = [block for block in python_of(page) if "XiheController(" in block]
-    assert sessions and all('target="hdr"' in one and "learns_out_of_view=True" in one for one in sessions)
+    assert sessions
+    for one in sessions:
+        assert all(words in one for words in ('target="hdr"', trigger, "(trigger, learns_out_of_view=True)"))
 
 
 def test_the_session_of_the_docs_runs():
     known = {"frame": seen(SMALL, looking(1.57, 0.4, (0.0, 0.0, 0.1)))}
     exec(next(block for block in python_of(ROOT / "docs" / "python.md") if "XiheController(" in block), known)
     assert known["session"].backend.estimator.target == "hdr" and known["session"].settings.learns_out_of_view
+    assert known["session"].settings.trigger == REPLAY_TRIGGER
 
 
 @pytest.mark.parametrize("words", words_of("make"), ids=shown)
