@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from xihenet.replay import REPLAY_TRIGGER
 
 from addon_tests.pure.recordings import SMALL, looking, seen
 from xihe_blender.cli.document import TRAINING, WITHOUT_TRAINING, document
@@ -16,7 +17,6 @@ from xihenet import __version__, estimators
 from xihenet.captures.reading import READERS
 from xihenet.light.platforms import PLATFORMS
 from xihenet.phone import LINKS, PHONE_EFFECTS, profile_names
-from xihenet.replay import REPLAY_TRIGGER
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
