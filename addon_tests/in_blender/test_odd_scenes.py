@@ -250,7 +250,7 @@ def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_pat
     smoke.filepath = str(tmp_path / "smoke.vdb")
     scene.collection.objects.link(bpy.data.objects.new("Smoke", smoke))
     bpy.context.view_layer.update()
-    faults = {fault.name: fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get())}
+    faults = {fault.name: fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)}
     assert faults.keys() == {"wall", "sky", "smoke"}
     assert "pink" in faults["sky"] and "without it" in faults["smoke"]
 
