@@ -210,8 +210,8 @@ def test_all_files_that_a_render_reads_are_known_and_no_others(tmp_path):
     assert set(files_read()) == here("film.v2.[0-9]*.jp2", "clip[[]1].mp4", "fog.vdb", "smoke_[0-9]*.vdb")
 
     lamp = bpy.data.lights.new("Lamp", "POINT")
-    lamp.use_nodes = True
-    node = shader_node(lamp.node_tree, "TexIES")
+    tree, _ = nodes_of(lamp)
+    node = shader_node(tree, "TexIES")
     node.mode, node.filepath = "EXTERNAL", "//lamp.ies"
     table = scene.objects["Table"]
     table.modifiers.new("", "MESH_CACHE").filepath = "//table.mdd"

@@ -7,7 +7,6 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from xihenet.replay import REPLAY_TRIGGER
 
 from addon_tests.pure.recordings import SMALL, looking, seen
 from xihe_blender.cli.document import TRAINING, WITHOUT_TRAINING, document
@@ -15,6 +14,7 @@ from xihe_blender.cli.main import _parser
 from xihe_blender.io.run_results import METRICS
 from xihenet import __version__, estimators
 from xihenet.captures.reading import READERS
+from xihenet.captures.replay import REPLAY_TRIGGER
 from xihenet.light.platforms import PLATFORMS
 from xihenet.phone import LINKS, PHONE_EFFECTS, profile_names
 
