@@ -53,6 +53,11 @@ def shown(words):
     return " ".join(words)
 
 
+@pytest.mark.parametrize("page", [ROOT / "CHANGELOG.md", *PAGES], ids=lambda page: page.name)
+def test_no_page_has_marks_of_a_merge(page):
+    assert not re.findall(r"^(?:<{7}|={7}$|>{7}).*", page.read_text(encoding="utf-8"), re.MULTILINE)
+
+
 def test_the_readme_is_short():
     assert len(README.split()) <= MOST_WORDS
 
