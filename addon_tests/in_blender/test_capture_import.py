@@ -230,7 +230,8 @@ def test_a_blender_without_packages_runs_on_the_frames_that_an_import_kept(tmp_p
     write, intrinsics = LAYOUTS[name]
     path = write(tmp_path / "walk", walk(intrinsics, 3))
     scene, chosen = empty_scene(), ChosenCapture(path, None, 2.0, 0.5)
-    run_blocking(import_capture(scene, chosen, blend_folder=tmp_path, keeps_frames=True))
+    made = run_blocking(import_capture(scene, chosen, blend_folder=tmp_path, keeps_frames=True))
+    assert str(made.pictures / "frames") in " ".join(made.said)
     expected = {n: one.read() for n, one in steadied_frames(opened_capture(chosen)).items()}
     for package in ("PIL", "lzfse", "av"):
         monkeypatch.setitem(sys.modules, package, None)
@@ -325,6 +326,8 @@ PLAIN = (bool, int, float, str, bpy.types.Object, bpy.types.World)
 )
 def test_what_cannot_be_read_is_said_in_one_line_and_leaves_nothing(tmp_path, make, said):
     make(tmp_path / "walk")
+    of_the_user = tmp_path / "walk_footage_frames"
+    of_the_user.mkdir()
     scene = empty_scene()
     before = settings_of(scene)
     with pytest.raises(UserError, match=said) as caught:
@@ -332,7 +335,7 @@ def test_what_cannot_be_read_is_said_in_one_line_and_leaves_nothing(tmp_path, ma
     assert "\n" not in str(caught.value)
     assert not scene.objects and not bpy.data.collections and not bpy.data.meshes and settings_of(scene) == before
     assert remembered_capture(scene) is None
-    assert not list(tmp_path.glob("*footage*"))
+    assert list(tmp_path.glob("*footage*")) == [of_the_user]
 
 
 def standing_still(k):

@@ -35,6 +35,7 @@ from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.reading import READERS, xihe_session
 from xihenet.captures.scan import FARTHEST_M, Scan
+from xihenet.formats import format_bytes
 from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import ArrayF64, RgbdFrame
 
@@ -127,7 +128,7 @@ def import_capture(
     ----------
     blend_folder : where the .blend is or will be, and the folder of pictures beside it; None takes the open file's, or
         for one that was never saved the place of the recording
-    keeps_frames : whether a recording that takes packages to be read is kept beside the pictures in our own form too,
+    keeps_frames : whether a recording that takes packages to be read is kept below the pictures in our own form too,
         for runs in a Blender without them
 
     UserError for a recording that cannot be read, with the scene as it was; OSError where no pictures can be written.
@@ -137,7 +138,7 @@ def import_capture(
     if blend_folder is None and bpy.data.filepath:
         blend_folder = Path(bpy.data.filepath).parent
     pictures = new_footage_folder(blend_folder or chosen.path.resolve().parent, chosen.path.resolve().stem)
-    remembered, kept = chosen, pictures.with_name(f"{pictures.name}_frames")
+    remembered = chosen
     try:
         footage = Footage(pictures, numbered)
         scan, first = yield from _read(capture, numbered, footage)
@@ -146,14 +147,14 @@ def import_capture(
             doubt = suspicion(capture)
         notes = capture.notes if doubt is None else (*capture.notes, doubt)
         if keeps_frames and capture.format_name != xihe_session.FORMAT_NAME:
-            remembered = yield from _keep_frames(capture, kept)
+            remembered = yield from _keep_frames(capture, pictures / "frames")
         imported = _build(scene, capture, numbered, footage, scan, first, blend_folder)
     except BaseException:
         shutil.rmtree(pictures, ignore_errors=True)
-        shutil.rmtree(kept, ignore_errors=True)
         raise
     remember_capture(scene, remembered, blend_folder)
-    return replace(imported, said=(*imported.said, *notes))
+    kept = () if remembered is chosen else (_said_of_frames(remembered.path),)
+    return replace(imported, said=(*imported.said, *kept, *notes))
 
 
 def _read(capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Footage) -> Job[tuple[Scan, RgbdFrame]]:
@@ -185,6 +186,11 @@ def _keep_frames(capture: Capture, folder: Path) -> Job[ChosenCapture]:
         yield Progress(done, len(frames), f"keeping frame {captured.number} for Blender")
         recorder.record(read_captured(captured))
     return ChosenCapture(folder)
+
+
+def _said_of_frames(folder: Path) -> str:
+    n_bytes = sum(path.stat().st_size for path in folder.iterdir())
+    return f"Run reads its own copy of the frames in {folder}, {format_bytes(n_bytes)}: keep it."
 
 
 def _build(
