@@ -17,6 +17,7 @@ from xihe_blender.apply.sh_worlds import sh_node_group
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.errors import UserError
+from xihe_blender.io.folder_manifest import matching
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.scene import add_scene
 from xihe_blender.lab.rooms.settings import RoomRenderSettings
@@ -225,8 +226,30 @@ def test_all_files_that_a_render_reads_are_known_and_no_others(tmp_path):
     now = here("lamp.ies", "table.mdd")
     assert now < set(files_read()) and not here("ocean/**/*", "fluid/**/*") & set(files_read())
     fluid.domain_settings.cache_type = "ALL"
-    cloth.use_external, cloth.filepath = True, "//cloth"
-    assert here("fluid/**/*", "cloth/**/*") < set(files_read())
+    cloth.use_external = True
+    without_folder = set(files_read())
+    cloth.filepath = "//cloth"
+    assert here("fluid/**/*", "cloth/*.bphys") < set(files_read()) == without_folder | here("cloth/*.bphys")
+
+
+def test_a_cache_of_a_linked_object_lies_beside_its_library(tmp_path):
+    (tmp_path / "shot").mkdir()
+    empty_scene()
+    shot = saved(tmp_path / "shot" / "walk.blend")
+    box(bpy.context.scene, "Flag", (0, 0, 0), (1, 1, 0.1)).modifiers.new("", "CLOTH")
+    scene = opened(saved(tmp_path / "library.blend"))
+    cache = scene.objects["Flag"].modifiers[0].point_cache
+    cache.use_disk_cache, cache.frame_end = True, 2
+    with bpy.context.temp_override(point_cache=cache):
+        bpy.ops.ptcache.bake(bake=True)
+    library = saved(tmp_path / "library.blend")
+    kept = set((tmp_path / "blendcache_library").iterdir())
+    opened(shot)
+    with bpy.data.libraries.load(str(library), link=True, relative=True) as (_, wanted):
+        wanted.objects = ["Flag"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    read = {path.resolve() for pattern in files_read() for path in matching(pattern)}
+    assert kept and read == {*kept, library}
 
 
 def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_path):

@@ -120,11 +120,13 @@ def _content_digest(path: Path, _size: int, _mtime_ns: int) -> bytes:
         return hashlib.file_digest(file, "sha256").digest()
 
 
-def matching(pattern: str) -> Iterable[Path]:
-    """All files and folders that match an absolute pattern of `glob`."""
+def matching(pattern: str) -> list[Path]:
+    """All files and folders that match an absolute pattern of `glob`; none where a name is longer than there can be."""
     path = Path(pattern)
     below = str(path.relative_to(path.anchor))
-    return () if below == "." else Path(path.anchor).glob(below)
+    with contextlib.suppress(OSError):
+        return [] if below == "." else list(Path(path.anchor).glob(below))
+    return []
 
 
 VERSIONS = {"xihe": "version of xihe", "format": "version of xihe", "blender": "version of Blender"}

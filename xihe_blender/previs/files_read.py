@@ -23,6 +23,9 @@ from xihe_blender.apply.datablocks import PREFIX
 LOOKED_AT_IN = (bpy.types.Camera, bpy.types.Scene, bpy.types.Screen, bpy.types.WorkSpace, bpy.types.WindowManager)
 """Users of a picture or a film that no render shows: runs use neither the compositor nor the sequencer of a scene."""
 
+POINTS = "*.bphys"
+"""Cloth, hair, particles and soft bodies, in a folder that may hold anything else, such as the runs themselves."""
+
 
 def files_read() -> list[str]:
     """Absolute patterns, sorted: of single files, all tiles of a picture, all frames of a sequence, all in a folder."""
@@ -88,11 +91,11 @@ def _caches() -> Iterator[str]:
                 yield _pattern(item, modifier.filepath)
             yield from (_below(item, folder) for folder in folders if folder)
         for cache in filter(None, caches):
-            if cache.use_external:
-                yield _below(item, cache.filepath)
-            elif cache.use_disk_cache and cache.is_baked:
-                file = Path(item.library.filepath if item.library is not None else bpy.data.filepath)
-                yield _below(item, str(file.with_name(f"blendcache_{file.stem}")))
+            home = bpy.path.basename(bpy.data.filepath if item.library is None else item.library.filepath)
+            beside = f"//blendcache_{Path(home).stem}" if cache.use_disk_cache and cache.is_baked else ""
+            folder = cache.filepath if cache.use_external else beside
+            if folder:
+                yield str(Path(_pattern(item, folder), POINTS))
 
 
 class _AnyModifier:
