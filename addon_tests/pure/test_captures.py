@@ -169,6 +169,9 @@ def test_a_long_replay_says_how_far_it_is(tmp_path, capfd, monkeypatch):
         "100%  all frames read",
     ]
     assert [left.partition(",")[0] for _, left in said[:6]] == 2 * ["frame 1 of 3", "frame 2 of 3", "frame 3 of 3"]
+    assert main(["replay", str(path), "--score", "--drift", "ignored", "--out", str(tmp_path / "scored")]) == 0
+    said = [line for line in capfd.readouterr().err.splitlines() if "%" in line]
+    assert len(said) == 12 + 3 + 1 and "choosing places, frame 12 of 12" in said[11] and "frame 1 of 3" in said[12]
 
 
 def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):

@@ -56,6 +56,7 @@ HIDDEN = (
 )
 NOT_ASKED = "No place could be asked: every part of the recording shows what the others do."
 LEAST_FRAMES, MOST_FRAMES_SHOWN = 3, 8
+LOOKED_AT = 12  # Frames, to choose places that are scored; some of them twice where there are fewer
 SHOWN_EVERY_S = 2.0
 """How far a recording is read; one that is read in less needs no word of it."""
 
@@ -81,21 +82,20 @@ class Place:
 
 
 class Reading:
-    """Shows on `stream` how far a recording is read, all of it for each of `purposes`, one after the other."""
+    """Shows on `stream` how far a recording is read: as many frames as `purposes` say for each, one after the other."""
 
-    def __init__(self, n_frames: int, purposes: Sequence[str], stream: Any) -> None:
-        self._n_frames, self._purposes, self._show = n_frames, purposes, progress_line(stream)
+    def __init__(self, purposes: Mapping[str, int], stream: Any) -> None:
+        self._doing = [f"{purpose}, frame {k + 1} of {n}" for purpose, n in purposes.items() for k in range(n)]
+        self._show = progress_line(stream)
         self._n_read, self._start_s, self._due_s = 0, time.monotonic(), SHOWN_EVERY_S
 
     def watched(self, capture: Capture) -> Capture:
         return replace(capture, frames=[replace(frame, load=partial(self._load, frame)) for frame in capture.frames])
 
     def _load(self, frame: CapturedFrame) -> RgbdFrame:
-        elapsed_s, total = time.monotonic() - self._start_s, self._n_frames * len(self._purposes)
+        elapsed_s, total = time.monotonic() - self._start_s, len(self._doing)
         if elapsed_s >= self._due_s and self._n_read < total:
-            purpose, index = divmod(self._n_read, self._n_frames)
-            doing = f"{self._purposes[purpose]}, frame {index + 1} of {self._n_frames}"
-            self._show(Progress(self._n_read, total, doing), elapsed_s)
+            self._show(Progress(self._n_read, total, self._doing[self._n_read]), elapsed_s)
             self._due_s = elapsed_s + SHOWN_EVERY_S
         self._n_read += 1
         return frame.load()
@@ -177,8 +177,14 @@ def _prepared(options: argparse.Namespace, stderr: Any) -> tuple[Capture, Drift 
     if suspected is not None:
         capture = replace(capture, notes=(*capture.notes, suspected))
     is_followed = not capture.is_exposure_known and options.drift == "followed"
-    purposes = {"following the exposure": is_followed, "estimating light": options.at, "scoring": options.score}
-    reading = Reading(len(capture.frames), [name for name, is_asked in purposes.items() if is_asked], stderr)
+    n = len(capture.frames)
+    purposes = {
+        "following the exposure": n if is_followed else 0,
+        "estimating light": n if options.at else 0,
+        "choosing places": LOOKED_AT if options.score and not options.at else 0,
+        "scoring": n if options.score else 0,
+    }
+    reading = Reading(purposes, stderr)
     capture = reading.watched(capture)
     return (*(steadied(capture) if is_followed else (capture, None)), reading)
 
@@ -206,7 +212,7 @@ def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespac
     if places:
         places_m = np.array(list(_positions(capture, places).values()))
     else:
-        places_m = score_places([chosen[k].read() for k in np.linspace(0, len(chosen) - 1, 12).astype(int)])
+        places_m = score_places([chosen[k].read() for k in np.linspace(0, len(chosen) - 1, LOOKED_AT).astype(int)])
     rng = np.random.default_rng(0)
     return score_session(capture, len(chosen), places_m, loaded, rng, reference_exposure=capture.reference_exposure)
 
