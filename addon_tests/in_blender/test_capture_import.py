@@ -231,7 +231,7 @@ def test_a_blender_without_packages_runs_on_the_frames_that_an_import_kept(tmp_p
     path = write(tmp_path / "walk", walk(intrinsics, 3))
     scene, chosen = empty_scene(), ChosenCapture(path, None, 2.0, 0.5)
     made = run_blocking(import_capture(scene, chosen, blend_folder=tmp_path, keeps_frames=True))
-    assert str(made.pictures / "frames") in " ".join(made.said)
+    assert str(made.pictures / path.stem) in " ".join(made.said) and remembered_capture(scene).path.name == path.stem
     expected = {n: one.read() for n, one in steadied_frames(opened_capture(chosen)).items()}
     for package in ("PIL", "lzfse", "av"):
         monkeypatch.setitem(sys.modules, package, None)
@@ -626,6 +626,8 @@ def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd, monkeypat
     assert_refused(xihe_here("import", recording, "--out", blend), "is there already")
     assert_refused(xihe_here("import", tmp_path, "--out", tmp_path / "other.blend"), f"give {recording}")
     assert not (tmp_path / "other.blend").exists()
+    assert_refused(xihe_here("import", recording, "--out", tmp_path / f"{249 * 'a'}.blend"), "too long")
+    assert {path.name for path in tmp_path.iterdir()} == {"room.blend", "walk", "walk_footage"}
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     scene = bpy.context.scene
     image = scene.camera.data.background_images[0].image

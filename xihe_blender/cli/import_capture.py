@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,11 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     chosen = ChosenCapture(recording_at(options.recording), options.up, options.scale, options.floor)
     job = import_capture(scene, chosen, blend_folder=out.parent, keeps_frames=True)
     imported = run_blocking(job, progress_line(stderr))
-    with written_whole(out) as beside:
-        bpy.ops.wm.save_as_mainfile(filepath=str(beside.resolve()), compress=True)
+    try:
+        with written_whole(out) as beside:
+            bpy.ops.wm.save_as_mainfile(filepath=str(beside.resolve()), compress=True)
+    except BaseException:
+        shutil.rmtree(imported.pictures, ignore_errors=True)
+        raise
     print(" ".join(imported.said), file=stdout)
     print(out, file=stdout)

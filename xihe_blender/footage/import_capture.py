@@ -137,7 +137,8 @@ def import_capture(
     numbered = captured_frames(capture)
     if blend_folder is None and bpy.data.filepath:
         blend_folder = Path(bpy.data.filepath).parent
-    pictures = new_footage_folder(blend_folder or chosen.path.resolve().parent, chosen.path.resolve().stem)
+    name = chosen.path.resolve().stem
+    pictures = new_footage_folder(blend_folder or chosen.path.resolve().parent, name)
     remembered = chosen
     try:
         footage = Footage(pictures, numbered)
@@ -147,7 +148,7 @@ def import_capture(
             doubt = suspicion(capture)
         notes = capture.notes if doubt is None else (*capture.notes, doubt)
         if keeps_frames and capture.format_name != xihe_session.FORMAT_NAME:
-            remembered = yield from _keep_frames(capture, pictures / "frames")
+            remembered = yield from _keep_frames(capture, pictures / name)
         imported = _build(scene, capture, numbered, footage, scan, first, blend_folder)
     except BaseException:
         shutil.rmtree(pictures, ignore_errors=True)
