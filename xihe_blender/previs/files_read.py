@@ -91,9 +91,10 @@ def _caches() -> Iterator[str]:
                 yield _pattern(item, modifier.filepath)
             yield from (_below(item, folder) for folder in folders if folder)
         for cache in filter(None, caches):
-            home = bpy.path.basename(bpy.data.filepath if item.library is None else item.library.filepath)
-            beside = f"//blendcache_{Path(home).stem}" if cache.use_disk_cache and cache.is_baked else ""
-            folder = cache.filepath if cache.use_external else beside
+            library = item.library if cache.use_library_path else None
+            file = bpy.path.basename(bpy.data.filepath if library is None else library.filepath)
+            beside = f"//blendcache_{Path(file).stem}" if cache.use_disk_cache and cache.is_baked else ""
+            folder = bpy.path.abspath(cache.filepath if cache.use_external else beside, library=library)
             if folder:
                 yield str(Path(_pattern(item, folder), POINTS))
 
