@@ -194,6 +194,9 @@ def test_a_library_or_an_image_that_has_changed_since_makes_another_run(library,
 def test_all_files_that_a_render_reads_are_known_and_no_others(tmp_path):
     walk(2)
     scene = opened(saved(tmp_path / "room.blend"))
+    overlay = bpy.data.images.new("overlay", 4, 4)
+    overlay.source, overlay.filepath = "FILE", "//overlay.png"
+    bpy.data.node_groups.new("Over", "CompositorNodeTree").nodes.new("CompositorNodeImage").image = overlay
     assert files_read() == []
 
     def here(*names):

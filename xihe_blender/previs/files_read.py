@@ -20,7 +20,10 @@ import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
 
-LOOKED_AT_IN = (bpy.types.Camera, bpy.types.Scene, bpy.types.Screen, bpy.types.WorkSpace, bpy.types.WindowManager)
+LOOKED_AT_IN = (
+    bpy.types.Camera, bpy.types.Scene, bpy.types.CompositorNodeTree, bpy.types.Screen, bpy.types.WorkSpace,
+    bpy.types.WindowManager,
+)  # fmt: skip
 """Users of a picture or a film that no render shows: runs use neither the compositor nor the sequencer of a scene."""
 
 POINTS = "*.bphys"
