@@ -83,7 +83,8 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
             return {"CANCELLED"}
         if added := keep_added():
             names = ", ".join(item.name for item in added)
-            self.report({"INFO"}, f"Added to Xihe Lit, and virtual now: {names}. Show Lit gives it light of its own")
+            said = f"Added to Xihe Lit, and in the room's collection Xihe Virtual now: {names}"
+            self.report({"INFO"}, f"{said}. Show Lit gives objects light of their own, and shows no lamps or cameras")
         room.frame_set(lit.frame_current)
         if context.window is not None:
             context.window.scene = room
