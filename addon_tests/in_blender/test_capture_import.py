@@ -230,7 +230,10 @@ def test_a_blender_without_packages_runs_on_the_frames_that_an_import_kept(tmp_p
     write, intrinsics = LAYOUTS[name]
     path = write(tmp_path / "walk", walk(intrinsics, 3))
     scene, chosen = empty_scene(), ChosenCapture(path, None, 2.0, 0.5)
-    made = run_blocking(import_capture(scene, chosen, blend_folder=tmp_path, keeps_frames=True))
+    shares = []
+    job = import_capture(scene, chosen, blend_folder=tmp_path, keeps_frames=True)
+    made = run_blocking(job, lambda progress, _: shares.append(progress.done / progress.total))
+    assert shares == sorted(shares) and shares[0] == 0 and 0.8 < shares[-1] < 1
     assert str(made.pictures / path.stem) in " ".join(made.said) and remembered_capture(scene).path.name == path.stem
     expected = {n: one.read() for n, one in steadied_frames(opened_capture(chosen)).items()}
     for package in ("PIL", "lzfse", "av"):

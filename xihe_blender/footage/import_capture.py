@@ -20,7 +20,7 @@ from xihe_blender.apply.keyed_camera import add_camera, pixel_aspect
 from xihe_blender.errors import UserError
 from xihe_blender.footage.pictures import Footage, new_footage_folder, show_behind
 from xihe_blender.footage.scan_object import add_scan, frames_to_scan
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.scene.phone_capture import (
     ChosenCapture,
     frames_a_second,
@@ -43,6 +43,7 @@ COLLECTION, CAMERA, SCAN_NAME, LOOKED_AT = "Phone Capture", "Phone", "Phone Scan
 LOOKED_AT_M = 1.0
 """In front of the camera, where its first frame has no depth."""
 
+READING_SHARE = 0.4  # Of the time, where frames are kept as well
 DEEPEST = 3  # Folders above a file of a recording, as of Polycam's keyframes/images/1.jpg
 OUTSIDE = "this Blender cannot read it: run `xihe import` outside of Blender, with the package installed"
 
@@ -139,16 +140,17 @@ def import_capture(
         blend_folder = Path(bpy.data.filepath).parent
     name = chosen.path.resolve().stem
     pictures = new_footage_folder(blend_folder or chosen.path.resolve().parent, name)
-    remembered = chosen
+    remembered, is_kept = chosen, keeps_frames and capture.format_name != xihe_session.FORMAT_NAME
+    reading = READING_SHARE if is_kept else 1.0
     try:
         footage = Footage(pictures, numbered)
-        scan, first = yield from _read(capture, numbered, footage)
-        yield Progress(len(numbered), len(numbered) + 1, "making the mesh")
+        scan, first = yield from part_of(1, 0, 0.99 * reading, _read(capture, numbered, footage))
+        yield Progress(0.99 * reading, 1, "making the mesh")
         with said_in_one_line():
             doubt = suspicion(capture)
         notes = capture.notes if doubt is None else (*capture.notes, doubt)
-        if keeps_frames and capture.format_name != xihe_session.FORMAT_NAME:
-            remembered = yield from _keep_frames(capture, pictures / name)
+        if is_kept:
+            remembered = yield from part_of(1, reading, 1 - reading, _keep_frames(capture, pictures / name))
         imported = _build(scene, capture, numbered, footage, scan, first, blend_folder)
     except BaseException:
         shutil.rmtree(pictures, ignore_errors=True)
@@ -164,7 +166,7 @@ def _read(capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Foot
     first = read_captured(next(iter(numbered.values())))
     scan = Scan(capture.reference_exposure or first.exposure)
     for done, (number, captured) in enumerate(numbered.items()):
-        yield Progress(done, len(numbered) + 1, f"reading frame {number}")
+        yield Progress(done, len(numbered), f"reading frame {number}")
         is_scanned = id(captured) in chosen
         frame = read_captured(captured) if is_scanned or not footage.links else None
         if frame is not None and is_scanned:
@@ -179,12 +181,15 @@ def _keep_frames(capture: Capture, folder: Path) -> Job[ChosenCapture]:
 
     Up, scale and floor are as in `capture`; exposure and white balance that drifted unsaid are followed.
     """
-    with said_in_one_line():
-        frames = capture.frames if capture.is_exposure_known else steadied(capture)[0].frames
+    n, n_before, frames = len(capture.frames), 0, capture.frames
+    if not capture.is_exposure_known:
+        yield Progress(0, 2 * n, "following the exposure")
+        with said_in_one_line():
+            n_before, frames = n, steadied(capture)[0].frames
     source = f"a recording of the kind {capture.format_name}"
     recorder = SessionRecorder(folder, SessionFacts(source, capture.notes, capture.reference_exposure, capture.trigger))
     for done, captured in enumerate(frames):
-        yield Progress(done, len(frames), f"keeping frame {captured.number} for Blender")
+        yield Progress(n_before + done, n_before + n, f"keeping frame {captured.number} for Blender")
         recorder.record(read_captured(captured))
     return ChosenCapture(folder)
 
