@@ -3,6 +3,7 @@
 import pickle
 import sys
 import threading
+import time
 from collections import deque
 from dataclasses import replace
 
@@ -87,14 +88,26 @@ def test_helpers_that_cannot_work_leave_it_to_this_process(walk, places, one_aft
     assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
 
 
-@pytest.mark.parametrize("says", ["", "pickle.dump(True, sys.stdout.buffer); sys.stdout.flush(); "])
-def test_a_helper_that_never_answers_is_not_waited_for(walk, places, one_after_the_other, says, monkeypatch, tmp_path):
-    package = tmp_path / "xihenet"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "other_cores.py").write_text(f"import pickle, sys, time; {says}time.sleep(600)")
+TAKES_ALL = "threading.Thread(target=sys.stdin.buffer.read).start()"
+IS_READY = "pickle.dump(True, sys.stdout.buffer); sys.stdout.flush()"
+
+
+@pytest.mark.parametrize("does", ["pass", f"{TAKES_ALL}; {IS_READY}"])
+def test_a_helper_that_never_answers_is_not_waited_for(walk, places, one_after_the_other, does, monkeypatch, tmp_path):
+    module = tmp_path.joinpath(*other_cores.__name__.split(".")).with_suffix(".py")
+    module.parent.mkdir(parents=True)
+    for package in (module.parent, module.parent.parent):
+        (package / "__init__.py").touch()
+    begun = tmp_path / "begun"
+    begins = f"pathlib.Path({str(begun)!r}).touch()"
+    module.write_text(f"import pathlib, pickle, sys, threading, time; {does}; {begins}; time.sleep(600)")
     monkeypatch.setattr(other_cores, "child_environment", lambda: {"PYTHONPATH": str(tmp_path)})
-    assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
+    steps, until = find_light_on_all_cores(walk, places, 1), time.monotonic() + 30
+    next(steps)
+    while not begun.exists():
+        assert time.monotonic() < until
+        time.sleep(0.01)  # A helper that is ready is given places at once.
+    assert_same(finished(steps), one_after_the_other)
 
 
 def test_an_estimator_that_cannot_be_sent_is_asked_here(walk, places, one_after_the_other):
