@@ -429,7 +429,7 @@ def test_a_training_on_other_clouds_or_of_an_older_version_is_refused_before_any
     capsys.readouterr()
     assert train_by_command(rooms, out) == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "with other" in said and "choose another --out" in said
+    assert said.count("\n") == 1 and "with other" in said and ", version" in said and "choose another --out" in said
 
 
 def test_too_few_rooms_are_said_with_how_many_before_any_is_sampled(tmp_path, capsys):
