@@ -268,17 +268,19 @@ def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_pat
     tree, _ = nodes_of(look)
     for image in (images[0], images[2], images[5]):
         shader_node(tree, "TexImage").image = image
-    box(scene, "Box", (0, 0, 0), (1, 1, 1), look)
+    cube = box(scene, "Box", (0, 0, 0), (1, 1, 1), look)
     shown_in_the_sky(images[1])
     shader_node(nodes_of(bpy.data.materials.new("unused"))[0], "TexImage").image = images[3]
     scene.camera.data.background_images.new().image = images[4]
     smoke = bpy.data.volumes.new("smoke")
     smoke.filepath = str(tmp_path / "smoke.vdb")
     scene.collection.objects.link(bpy.data.objects.new("Smoke", smoke))
+    bpy.ops.cachefile.open(filepath=str(tmp_path / "walk.abc"))
+    cube.modifiers.new("", "MESH_SEQUENCE_CACHE").cache_file = bpy.data.cache_files["walk.abc"]
     bpy.context.view_layer.update()
     faults = {fault.name: fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)}
-    assert faults.keys() == {"wall", "sky", "smoke"}
-    assert "pink" in faults["sky"] and "without it" in faults["smoke"]
+    assert faults.keys() == {"wall", "sky", "smoke", "walk.abc"}
+    assert "pink" in faults["sky"] and all("without it" in faults[name] for name in ("smoke", "walk.abc"))
 
 
 def shown_in_the_sky(image):
