@@ -80,11 +80,27 @@ def test_with_helpers_nothing_changes(walk, places, one_after_the_other, n_helpe
     assert_same(finished(find_light_on_all_cores(walk, places, n_helpers)), one_after_the_other)
 
 
+@pytest.fixture
+def helpers_run(monkeypatch, tmp_path):
+    """Has helpers run some other lines of Python in place of their module."""
+
+    def replace_by(lines):
+        module = tmp_path.joinpath(*other_cores.__name__.split(".")).with_suffix(".py")
+        module.parent.mkdir(parents=True)
+        for package in (module.parent, module.parent.parent):
+            (package / "__init__.py").touch()
+        module.write_text(lines)
+        monkeypatch.setattr(other_cores, "child_environment", lambda: {"PYTHONPATH": str(tmp_path)})
+
+    return replace_by
+
+
 @pytest.mark.parametrize("interpreter", ["/nowhere/python", sys.executable])
-def test_helpers_that_cannot_work_leave_it_to_this_process(walk, places, one_after_the_other, interpreter, monkeypatch):
+def test_helpers_that_cannot_work_leave_it_to_this_process(
+    walk, places, one_after_the_other, interpreter, monkeypatch, helpers_run
+):
     monkeypatch.setattr(sys, "executable", interpreter)
-    # Without a PYTHONPATH that leads to this package a helper starts, and ends at once.
-    monkeypatch.setattr(other_cores, "child_environment", lambda: {"PYTHONPATH": "/nowhere"})
+    helpers_run("raise ImportError")
     assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
 
 
@@ -93,15 +109,10 @@ IS_READY = "pickle.dump(True, sys.stdout.buffer); sys.stdout.flush()"
 
 
 @pytest.mark.parametrize("does", ["pass", f"{TAKES_ALL}; {IS_READY}"])
-def test_a_helper_that_never_answers_is_not_waited_for(walk, places, one_after_the_other, does, monkeypatch, tmp_path):
-    module = tmp_path.joinpath(*other_cores.__name__.split(".")).with_suffix(".py")
-    module.parent.mkdir(parents=True)
-    for package in (module.parent, module.parent.parent):
-        (package / "__init__.py").touch()
+def test_a_helper_that_never_answers_is_not_waited_for(walk, places, one_after_the_other, does, helpers_run, tmp_path):
     begun = tmp_path / "begun"
     begins = f"pathlib.Path({str(begun)!r}).touch()"
-    module.write_text(f"import pathlib, pickle, sys, threading, time; {does}; {begins}; time.sleep(600)")
-    monkeypatch.setattr(other_cores, "child_environment", lambda: {"PYTHONPATH": str(tmp_path)})
+    helpers_run(f"import pathlib, pickle, sys, threading, time; {does}; {begins}; time.sleep(600)")
     steps, until = find_light_on_all_cores(walk, places, 1), time.monotonic() + 30
     next(steps)
     while not begun.exists():
