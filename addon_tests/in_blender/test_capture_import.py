@@ -18,7 +18,7 @@ from results_schema import SCHEMA
 from tiny_scenes import box, empty_scene
 
 from addon_tests.pure.commands import assert_refused, xihe_here
-from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, looking, seen, walk
+from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, layouts, looking, seen, walk
 from xihe_blender.addon.panels import result_rows
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit, show_results
 from xihe_blender.apply.keys import f_curves
@@ -225,7 +225,7 @@ def test_a_file_or_folder_in_a_recording_stands_for_it(tmp_path):
         assert recording_at(other) == other
 
 
-@pytest.mark.parametrize("name", ["Record3D", "Stray Scanner", "Nerfstudio"])
+@pytest.mark.parametrize("name", layouts(["Record3D", "Stray Scanner", "Nerfstudio"]))
 def test_a_blender_without_packages_runs_on_the_frames_that_an_import_kept(tmp_path, monkeypatch, name):
     write, intrinsics = LAYOUTS[name]
     path = write(tmp_path / "walk", walk(intrinsics, 3))

@@ -189,7 +189,7 @@ def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("name", ["Record3D", "Nerfstudio"])
+@pytest.mark.parametrize("name", layouts(["Record3D", "Nerfstudio"]))
 def test_a_folder_around_a_recording_says_which_one_is_in_it(tmp_path, name):
     write, intrinsics = LAYOUTS[name]
     path = write(tmp_path / "recorded", walk(intrinsics, 2))
