@@ -629,7 +629,9 @@ def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd, monkeypat
     assert_refused(xihe_here("import", recording, "--out", blend), "is there already")
     assert_refused(xihe_here("import", tmp_path, "--out", tmp_path / "other.blend"), f"give {recording}")
     assert not (tmp_path / "other.blend").exists()
-    assert_refused(xihe_here("import", recording, "--out", tmp_path / f"{249 * 'a'}.blend"), "too long")
+    assert_refused(
+        xihe_here("import", recording, "--out", tmp_path / f"{249 * 'a'}.blend"), "too long", after_progress=True
+    )
     assert {path.name for path in tmp_path.iterdir()} == {"room.blend", "walk", "walk_footage"}
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     scene = bpy.context.scene

@@ -265,7 +265,7 @@ def test_a_full_disk_is_refused_before_anything_is_rendered(folder, tmp_path):
         if disk.is_mounted:
             (tmp_path / "ballast").write_bytes(bytes(64 * 1024))
         done = disk.previs(folder / "walk.blend", tmp_path / "out", largest_file=1000)
-        assert_refused(done, "cannot write to", disk.says, "another folder")
+        assert_refused(done, "cannot write to", disk.says, "another folder", after_progress=True)
         assert "capturing" not in done.stderr and "metering" not in done.stderr
         assert not files_below(tmp_path / "out")
 
@@ -279,7 +279,7 @@ def test_a_disk_that_fills_up_leaves_nothing_half_written(folder, finished, tmp_
     with SmallDisk(tmp_path, (pages + size // 2 // PAGE) * PAGE) as disk:
         before = written_before(finished, full_at, out)
         done = disk.previs(folder / "walk.blend", out, largest_file=size // 2)
-        assert_refused(done, str(out), "run the same command again to resume")
+        assert_refused(done, str(out), "run the same command again to resume", after_progress=True)
         assert "free some space" in done.stderr or not disk.is_mounted
         assert not any((out / path).exists() for path in (full_at, "results.json")) and not unfinished_files(out)
         disk.enlarge()

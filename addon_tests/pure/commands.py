@@ -26,9 +26,11 @@ def xihe_here(*arguments):
     return subprocess.CompletedProcess(arguments, code, *texts)
 
 
-def assert_refused(done, *words):
-    """Exit 2, nothing on stdout, and one line on stderr after any progress, with `words` in it."""
-    lines = [line for line in done.stderr.splitlines() if not re.match(r" *\d+%  ", line)]
+def assert_refused(done, *words, after_progress=False):
+    """Exit 2, nothing on stdout, and one line on stderr with `words` in it; `after_progress`, the last that is none."""
+    lines = done.stderr.splitlines()
+    if after_progress:
+        lines = [line for line in lines if not re.match(r" *\d+%  ", line)]
     assert (done.returncode, done.stdout, len(lines)) == (2, "", 1), done.stderr
     assert lines[0].startswith("xihe: ")
     for word in words:
