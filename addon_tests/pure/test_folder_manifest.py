@@ -1,6 +1,8 @@
 """Whose folder is it? Nothing is taken up that was made otherwise, and nothing is overwritten."""
 
+import itertools
 import json
+import os
 from dataclasses import replace
 
 import pytest
@@ -8,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256, differences
+from xihe_blender.io import folder_manifest
+from xihe_blender.io.folder_manifest import END_BYTES, FolderManifest, contents_sha256, differences
 
 MADE_WITH = {"xihe": "1.0", "settings": {"seed": 0, "size": (32, 24)}, "frames": (1, 2)}
 VALUES = st.one_of(st.integers(), st.none(), st.text(max_size=3), st.lists(st.integers(), max_size=2))
@@ -100,3 +103,24 @@ def test_content_is_known_by_the_names_of_files_and_what_is_in_them(tmp_path):
     found = [written(a="one"), written(b="two"), written(a="two", b="one")]
     (tmp_path / "in" / "a" / "0001.vdb").rename(tmp_path / "in" / "a" / "0002.vdb")
     assert len({*found, written()}) == 4
+
+
+def test_of_many_gigabytes_each_large_file_counts_by_its_ends_size_and_date(tmp_path, monkeypatch):
+    folders = (tmp_path / str(number) for number in itertools.count())
+
+    def found(most_read, middle=b"1", end=b"1", text="one", date=1e9):
+        folder = next(folders)
+        folder.mkdir()
+        (folder / "large.vdb").write_bytes(bytes(END_BYTES) + middle + bytes(END_BYTES) + end)
+        (folder / "small.vdb").write_text(text)
+        for path in folder.iterdir():
+            os.utime(path, (date, date))
+        monkeypatch.setattr(folder_manifest, "MOST_READ_BYTES", most_read)
+        return contents_sha256([str(folder / "*")])
+
+    few, many = 4 * END_BYTES, 2 * END_BYTES
+    assert found(few) == found(few, date=2e9) != found(few, middle=b"2"), "read whole, and a copy has any date"
+    changes = ({}, {"end": b"2"}, {"end": b"11"}, {"text": "two"}, {"date": 2e9})
+    assert len({found(few), *(found(many, **change) for change in changes)}) == 6
+    assert found(many) == found(many, middle=b"2"), "the middle is not read"
+    assert found(many) == found(many, date=1e9 + 0.3), "not every disk keeps parts of a second"

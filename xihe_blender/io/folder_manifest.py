@@ -22,6 +22,8 @@ from xihenet.io.json_files import read_json
 
 WORK = "work"  # the kind of work, where several keep a file of the same name; missing in files of before
 NOT_COMPARED = "software"  # written down for the reader alone
+MOST_READ_BYTES = 10**9  # A second or two; baked caches of many gigabytes are read at their ends
+END_BYTES = 2**16
 WORDS = {
     "blend_sha256": "scene file",
     "linked_sha256": "library, image or other file that the scene reads",
@@ -102,13 +104,20 @@ def differences(kept: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
 def contents_sha256(patterns: Iterable[str]) -> str | None:
     """SHA-256 of the names and contents of all files that match absolute patterns of `glob`.
 
-    None where there is no such file, or none that can be read.
+    Where they hold more than MOST_READ_BYTES together, of those larger than two ends the size, the second of the last
+    change and both ends stand for the content. None where there is no such file, or none that can be read.
     """
-    whole, digest = hashlib.sha256(), None
+    states = {}
     for path in sorted({path for pattern in patterns for path in matching(pattern)}):
-        with contextlib.suppress(OSError), path.open("rb") as file:  # Nor can Blender read it.
-            state = os.fstat(file.fileno())
-            whole.update(os.fsencode(path.name) + b"/" + _content_digest(path, state.st_size, state.st_mtime_ns))
+        with contextlib.suppress(OSError):
+            states[path] = path.stat()
+    are_too_many = sum(state.st_size for state in states.values()) > MOST_READ_BYTES
+    whole, digest = hashlib.sha256(), None
+    for path, state in states.items():
+        of_content = _ends_digest if are_too_many and state.st_size > 2 * END_BYTES else _content_digest
+        with contextlib.suppress(OSError):  # Nor can Blender read it.
+            content = of_content(path, state.st_size, state.st_mtime_ns)
+            whole.update(os.fsencode(path.name) + b"/" + content)
             digest = whole.hexdigest()
     return digest
 
@@ -118,6 +127,17 @@ def _content_digest(path: Path, _size: int, _mtime_ns: int) -> bytes:
     """Volumes are large, and a batch asks about each of its units more than once."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").digest()
+
+
+@functools.cache
+def _ends_digest(path: Path, size: int, mtime_ns: int) -> bytes:
+    # By the second: some disks and networks keep no more of it.
+    digest = hashlib.sha256(f"{size} {mtime_ns // 10**9}".encode())
+    with path.open("rb") as file:
+        digest.update(file.read(END_BYTES))
+        file.seek(-END_BYTES, os.SEEK_END)
+        digest.update(file.read(END_BYTES))
+    return digest.digest()
 
 
 def matching(pattern: str) -> list[Path]:
