@@ -443,6 +443,7 @@ def with_entry(row, column, value):
         (posed(LOOKING_ALONG_Y @ np.diag([2, 2, 2, 1])), "without scale or shear"),
         (posed(LOOKING_ALONG_Y @ np.diag([-1, 1, 1, 1])), "mirrors"),
         (posed(with_entry(0, 1, 0.1)), "without scale or shear"),
+        (posed(with_entry(0, 1, 0.002)), "an error of 0.002: write it with four digits or more"),
         (posed(with_entry(0, 3, np.nan)), "world_from_camera: expected finite numbers"),
         (posed(with_entry(3, 0, 1.0)), "transpose it"),
         ({"world_from_camera": [[1, 0], [0, 1]]}, "four rows of four numbers"),

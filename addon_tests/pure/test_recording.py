@@ -95,6 +95,15 @@ def test_a_file_that_is_no_frame_is_named(tmp_path, content):
         ReplayScanner(tmp_path).acquire_environment_scan()
 
 
+def test_a_frame_that_is_cut_short_is_named_once_with_what_to_do(tmp_path):
+    path = tmp_path / "frame_000000.exr"
+    save_frame(path, random_frame(0))
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(ValueError) as caught:
+        load_frame(path)
+    assert str(caught.value).count(path.name) == 1 and "cut short: copy or save it again" in str(caught.value)
+
+
 def test_a_folder_without_frames_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="no recorded frames"):
         ReplayScanner(tmp_path)

@@ -211,7 +211,7 @@ def _errors_of(path: Path) -> Iterator[None]:
     except (OtherExr, TooLarge) as error:
         raise type(error)(f"{path}: {error}") from error
     except (ValueError, KeyError, IndexError, OverflowError, struct.error, zlib.error) as error:
-        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again") from error
+        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: copy or save it again") from error
 
 
 def _flags(content: bytes) -> int:

@@ -189,7 +189,10 @@ def _pose(rows: Any) -> ArrayF64:
     if abs(determinant) < POSE_TOLERANCE:
         raise ValueError("world_from_camera: it is singular, its axes do not span space; expected a rotation")
     if skew > POSE_TOLERANCE:
-        raise ValueError(f"world_from_camera: expected a rotation without scale or shear, got an error of {skew:.3g}")
+        raise ValueError(
+            f"world_from_camera: expected a rotation without scale or shear, got an error of {skew:.3g}: write it with "
+            "four digits or more, and its first three columns with length 1 and at right angles"
+        )
     if determinant < 0:
         raise ValueError("world_from_camera: it mirrors; expected right-handed axes (negate one of them)")
     return pose
@@ -259,7 +262,7 @@ def read_exr_channels(
     channels = openexr_package.read_by_package(path, names)
     # A part whose pixels are broken is left out without an error.
     if not channels or (names is not None and not set(names) <= channels.keys()):
-        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: save it again")
+        raise ValueError(f"{path}: its pixels cannot be read, it may be cut short: copy or save it again")
     return {
         name: pixels[np.ix_(*picked_pixels(*sizes[name], most_pixels))] if name in sizes else pixels
         for name, pixels in channels.items()

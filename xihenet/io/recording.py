@@ -86,7 +86,7 @@ def load_frame(path: Path) -> RgbdFrame:
         plane_depth_m = channels["Z"].astype(np.float32, copy=False)
         return RgbdFrame(srgb_u8, plane_depth_m, confidence=confidence, **vars(header))
     except (LookupError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: not a recorded frame ({error})") from None
+        raise _no_frame(path, error) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,12 @@ def read_header(path: Path) -> FrameHeader:
     try:
         return _header(exr_attributes(path), exr_sizes(path)["Z"])
     except (LookupError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: not a recorded frame ({error})") from None
+        raise _no_frame(path, error) from None
+
+
+def _no_frame(path: Path, error: Exception) -> ValueError:
+    reason = str(error).removeprefix(f"{path}: ")
+    return ValueError(f"{path}: not a recorded frame ({reason})")
 
 
 def _header(said: Mapping[str, Attribute], size: tuple[int, ...]) -> FrameHeader:
