@@ -8,13 +8,14 @@ Rejected: to keep high confidence only, which leaves little of a dark room.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from xihenet.camera import sensed_ambient, sound_plane_depth, valid_plane_depth
-from xihenet.captures.capture import CapturedFrame
+from xihenet.captures.capture import CapturedFrame, n_frames
 from xihenet.invalid import counted
 from xihenet.io.frame_files import FrameCamera, intrinsics_for
 from xihenet.io.image_files import read_colour, read_grey, read_plane_depth, shrunk_colour
@@ -74,6 +75,12 @@ def read_confidence(path: Path, field: tuple[int, int]) -> ArrayU8:
     if (width, height) != field:
         raise ValueError(f"{path} has {width}x{height} pixels: expected {field[0]}x{field[1]}, as depth has")
     return confidence_levels(stored[np.ix_(*picked_pixels(height, width, MOST_POINTS))])
+
+
+def without_confidence(are_there: Sequence[bool]) -> tuple[str, ...]:
+    """A note of how many frames of a recording that stores confidence have none."""
+    n_missing = len(are_there) - sum(are_there)
+    return (f"{n_frames(n_missing)} without confidence: all depth is used there.",) if n_missing else ()
 
 
 def confidence_levels(stored: ArrayU8) -> ArrayU8:

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, n_frames
-from xihenet.captures.reading.phone_frame import picture_frame
+from xihenet.captures.reading.phone_frame import picture_frame, without_confidence
 from xihenet.captures.reading.values import FARTHEST_M, numbers, pose_numbers, pose_of, times_go_back
 from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, camera_facts, frame_camera
 from xihenet.io.json_files import number_in, read_json
@@ -52,7 +52,7 @@ def read(folder: Path, up: str | None) -> Capture:
         raise ValueError(f"{folder / FILE}: {error}") from error
     colours, depths = _images(folder / "colour"), {path.stem: path for path in _images(folder / "depth")}
     poses, times_s = _poses(folder, colours)
-    frames = []
+    frames, are_sure = [], []
     for i, (colour, pose) in enumerate(zip(colours, poses, strict=True)):
         if pose is None or colour.stem not in depths:
             continue
@@ -62,6 +62,7 @@ def read(folder: Path, up: str | None) -> Capture:
             raise ValueError(f"{folder}, pose of {colour.name}: {error}") from error
         time_s = i / fps if times_s is None else float(times_s[i] - times_s[0])
         confidence = folder / "confidence" / f"{colour.stem}.png"
+        are_sure.append(confidence.is_file())
         depth = depths[colour.stem]
         frames.append(picture_frame(i + 1, time_s, camera, colour, depth, metres_per_unit, confidence))
     if not frames:
@@ -71,6 +72,8 @@ def read(folder: Path, up: str | None) -> Capture:
         notes += (f"Times are not known: {fps:g} frames a second are assumed.",)
     if n_missing := len(colours) - len(frames):
         notes += (f"{n_frames(n_missing)} without depth or a pose left out.",)
+    if (folder / "confidence").is_dir():
+        notes += without_confidence(are_sure)
     return Capture("plain folder", frames, BLENDER_FROM_UP[up or said_up], notes, is_opencv=is_opencv)
 
 

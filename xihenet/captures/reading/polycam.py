@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
-from xihenet.captures.reading.phone_frame import picture_frame
+from xihenet.captures.reading.phone_frame import picture_frame, without_confidence
 from xihenet.captures.reading.values import FARTHEST_M
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import number_in, read_json, side_in
@@ -38,6 +38,7 @@ def read(folder: Path, up: str | None) -> Capture:
     are_times = all(path.stem.isdecimal() and len(path.stem) <= LONGEST_NAME for path in paths)
     paths.sort(key=lambda path: (int(path.stem) if are_times else 0, path.stem))
     frames: list[CapturedFrame] = []
+    are_sure = []
     for i, path in enumerate(paths):
         colour = _picture(keyframes / f"{which}images", path.stem)
         plane_depth = keyframes / "depth" / f"{path.stem}.png"
@@ -46,6 +47,7 @@ def read(folder: Path, up: str | None) -> Capture:
         time_s = (int(path.stem) - int(paths[0].stem)) * SECONDS_PER_UNIT if are_times else i * SPAN_S
         camera = _camera(path, up)
         confidence = keyframes / "confidence" / f"{path.stem}.png"
+        are_sure.append(confidence.is_file())
         frames.append(picture_frame(i + 1, time_s, camera, colour, plane_depth, METRES_PER_UNIT, confidence))
     if not frames:
         raise ValueError(f"{keyframes}: no camera has colour and depth: record with LiDAR, and export raw data")
@@ -54,6 +56,8 @@ def read(folder: Path, up: str | None) -> Capture:
         notes.append(f"Times are not known: {SPAN_S:g} s between frames are assumed.")
     if n_missing := len(paths) - len(frames):
         notes.append(f"{n_frames(n_missing)} without colour or depth left out.")
+    if (keyframes / "confidence").is_dir():
+        notes += without_confidence(are_sure)
     return Capture("Polycam", frames, BLENDER_FROM_UP[up], tuple(notes))
 
 

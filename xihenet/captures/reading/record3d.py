@@ -21,7 +21,7 @@ from xihenet.captures.capture import Capture, CapturedFrame, n_frames
 from xihenet.captures.floor import upright
 from xihenet.captures.reading.archive import MAGIC, Archive, open_archive
 from xihenet.captures.reading.lzfse_files import unpack_lzfse
-from xihenet.captures.reading.phone_frame import confidence_levels, measured, phone_frame
+from xihenet.captures.reading.phone_frame import confidence_levels, measured, phone_frame, without_confidence
 from xihenet.captures.reading.values import intrinsics_of, numbers, pose_numbers, pose_of, times_go_back
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import number_in, parse_json, side_in
@@ -75,6 +75,9 @@ def read(path: Path, up: str | None) -> Capture:
     notes += times_go_back([frame.time_s for frame in frames])
     if n_missing := max(n_said, len(numbers_of)) - len(there):
         notes += (f"{n_frames(n_missing)} without colour, depth or a pose left out.",)
+    are_sure = [f"rgbd/{n}.conf" in archive.members for n in there]
+    if any(are_sure):
+        notes += without_confidence(are_sure)
     capture = Capture("Record3D", frames, BLENDER_FROM_UP[assumed], notes)
     return capture if up is not None or first is not None else upright(capture, assumed)
 

@@ -14,7 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame, n_frames
-from xihenet.captures.reading.phone_frame import Measured, measured, phone_frame, read_confidence, read_measured
+from xihenet.captures.reading.phone_frame import (
+    Measured,
+    measured,
+    phone_frame,
+    read_confidence,
+    read_measured,
+    without_confidence,
+)
 from xihenet.captures.reading.values import intrinsics_of, numbers, pose_of, times_go_back
 from xihenet.captures.reading.video import Video
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
@@ -62,6 +69,8 @@ def read(folder: Path, up: str | None) -> Capture:
         notes += (f"{n_frames(n_unspoken)} of the video without a line of {ODOMETRY} left out.",)
     if n_missing := len(rows) - len(frames):
         notes += (f"{n_frames(n_missing)} without colour or depth left out.",)
+    if (folder / "confidence").is_dir():
+        notes += without_confidence([_confidence_file(folder, frame.number).is_file() for frame in frames])
     return Capture("Stray Scanner", frames, BLENDER_FROM_UP[up], notes, is_opencv=True)
 
 
@@ -114,8 +123,12 @@ def _depth_file(folder: Path, number: int) -> Path | None:
     return next((path for path in files if path.is_file()), None)
 
 
+def _confidence_file(folder: Path, number: int) -> Path:
+    return folder / "confidence" / f"{number:06d}.png"
+
+
 def _load(folder: Path, number: int, plane_depth: Path, camera: FrameCamera, video: Video) -> RgbdFrame:
-    confidence = folder / "confidence" / f"{number:06d}.png"
+    confidence = _confidence_file(folder, number)
     if plane_depth.suffix == ".npy":
         depth = _npy(plane_depth, confidence)
     else:
