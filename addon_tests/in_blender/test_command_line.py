@@ -349,9 +349,9 @@ MISTAKES = {
     },
     "frontier --out {out} ": {
         "nowhere.blend": "no such file",
-        "README.md": "is not a .blend file",
+        "{folder}/text.blend": "is not a .blend file",
         "": "SCENE.blend",
-        "README.md --seed -1": "seed of -1",
+        "{folder}/text.blend --seed -1": "seed of -1",
     },
     "paper --out {out} ": {
         "--scenes {folder}/text.blend": "is not a .blend file",
