@@ -78,6 +78,12 @@ for (const [name, viewport] of Object.entries(SCREENS)) {
   await page.mouse.up();
   await settled();
   saw.dragged = await page.evaluate("wipe");
+  const before = await page.evaluate("at");
+  await page.focus("#wipe");
+  for (const key of ["ArrowRight", "ArrowRight", "ArrowUp"]) await page.keyboard.press(key);
+  await settled();
+  saw.keyed = [await page.evaluate("wipe"), await page.$eval("#wipe", (line) => Number(line.getAttribute("aria-valuenow")) / 100)];
+  saw.kept_frame = before === await page.evaluate("at");
   await page.screenshot({ path: `${folder}/wiped.png` });
   saw.frame_ms = await page.evaluate(async () => {
     const start = performance.now();

@@ -193,6 +193,7 @@ async function loadObjects() {
 
 // ------------------------------------------------------------------------------------------------------------- a picture
 
+const STEP = 0.02; // Of the line, by one arrow key
 let [at, method, wipe, playing, busy, again] = [0, 0, 0.5, false, false, false];
 
 const lightAt = (lights, frame) => lights.findLast((light) => light.frame <= frame) ?? null;
@@ -347,6 +348,7 @@ function told(frame, isWiped, isDark) {
   element("frame").textContent = `frame ${frame.frame}, ${frame.time_s.toFixed(2)} s`;
   element("wipe").hidden = !isWiped;
   element("wipe").style.left = `${100 * wipe}%`;
+  element("wipe").setAttribute("aria-valuenow", Math.round(100 * wipe));
   element("left").textContent = data.methods[method].title;
   element("right").textContent = isWiped ? "ground truth" : "";
   const lacks = element("compare").checked && frame.truth === null;
@@ -413,7 +415,11 @@ function toggle() {
 
 function dragged(event) {
   const box = element("stage").getBoundingClientRect();
-  wipe = Math.max(0, Math.min(1, (event.clientX - box.left) / box.width));
+  wipeTo((event.clientX - box.left) / box.width);
+}
+
+function wipeTo(share) {
+  wipe = Math.max(0, Math.min(1, share));
   draw();
 }
 
@@ -436,11 +442,20 @@ function listen() {
     dragged(event);
   });
   stage.addEventListener("pointermove", (event) => stage.hasPointerCapture(event.pointerId) && dragged(event));
+  // Who has dragged the line steps through frames with the arrow keys; who has tabbed to it moves it.
+  stage.addEventListener("pointerup", () => element("wipe").blur());
   window.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey) return; // The browser's own, such as Alt and an arrow: back.
     const isTyping = ["SELECT", "INPUT"].includes(event.target.tagName) && event.target.id !== "compare";
     const isPressed = event.key === " " && (event.target.tagName === "BUTTON" || event.target.id === "compare");
     const key = event.key === "W" ? "w" : event.key;
+    const [less, more] = [wipe - STEP, wipe + STEP];
+    const moves = { ArrowLeft: less, ArrowDown: less, ArrowRight: more, ArrowUp: more, Home: 0, End: 1 };
+    if (event.target.id === "wipe" && key in moves) {
+      event.preventDefault();
+      wipeTo(moves[key]);
+      return;
+    }
     const actions = {
       " ": toggle,
       ArrowRight: () => go(at + 1),
