@@ -238,7 +238,9 @@ def test_a_blender_without_packages_runs_on_the_frames_that_an_import_kept(tmp_p
     expected = {n: one.read() for n, one in steadied_frames(opened_capture(chosen)).items()}
     for package in ("PIL", "lzfse", "av"):
         monkeypatch.setitem(sys.modules, package, None)
-    found = {n: one.read() for n, one in steadied_frames(capture_of(scene)).items()}
+    kept = capture_of(scene)
+    assert name in kept.source
+    found = {n: one.read() for n, one in steadied_frames(kept).items()}
     assert found.keys() == expected.keys()
     for number, frame in found.items():
         was = expected[number]

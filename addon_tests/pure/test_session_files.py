@@ -34,7 +34,9 @@ def test_what_it_says_of_itself_comes_back_and_time_may_go_backwards(tmp_path, c
     assert [frame.time_s for frame in capture.frames][1] == -4.0
     assert main(["replay", str(tmp_path / "in"), "--at", "0,0,0", "--out", str(tmp_path / "out")]) == 0
     assert "The lens is not known." in capfd.readouterr().err
-    assert read_strictly((tmp_path / "out" / "replay.json").read_text())["reference_exposure"] == 0.5
+    written = read_strictly((tmp_path / "out" / "replay.json").read_text())
+    assert (written["reference_exposure"], written["source"]) == (0.5, "a room")
+    assert "A replay: Xihe session (a room)" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     again = xihe_here("replay", tmp_path / "in", "--at", "0,0,0", "--out", tmp_path / "o", "--up", "y")
     assert_refused(again, "leave out --up")
 

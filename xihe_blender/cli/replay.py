@@ -313,6 +313,7 @@ def _write(
         "schema_version": 1,
         "software": {"xihe": __version__, "numpy": np.__version__},
         "format": capture.format_name,
+        "source": capture.source,
         "notes": list(capture.notes),
         "reference_exposure": capture.reference_exposure,
         "estimator": options.estimator,

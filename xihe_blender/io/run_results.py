@@ -277,6 +277,7 @@ class RecordingResult:
 
     name: Annotated[str, "of its folder"]
     format: Annotated[str, "as `xihe replay` names it"]
+    source: Annotated[str, "where a Xihe session says that its frames come from, such as another format; or empty"] = ""
     said: Annotated[str, "a sentence for the reader, also among the notes"]
     notes: Annotated[tuple[str, ...], "what is assumed or not known of it, also among the notes"] = ()
 

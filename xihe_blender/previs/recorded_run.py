@@ -106,7 +106,13 @@ def recorded_session(scene: bpy.types.Scene, settings: PrevisSettings) -> Record
         trigger=capture.trigger or REPLAY_TRIGGER,
         phone="perfect",
     )
-    said = RecordingResult(name=remembered.path.name, format=capture.format_name, said=IS_CAPTURED, notes=capture.notes)
+    said = RecordingResult(
+        name=remembered.path.name,
+        format=capture.format_name,
+        source=capture.source,
+        said=IS_CAPTURED,
+        notes=capture.notes,
+    )
     return RecordedSession(capture, frames, settings, said)
 
 

@@ -44,7 +44,8 @@ def write_replay_report(
         ("left-out", "What was left out", _left_out(content)),
     ]
     shown = [section for section in sections if section[2]]
-    write_document(path, document(f"A replay: {escape(content['format'])}", _opening(content), shown))
+    source = f" ({content['source']})" if content["source"] else ""
+    write_document(path, document(f"A replay: {escape(content['format'] + source)}", _opening(content), shown))
 
 
 def _opening(content: Mapping[str, Any]) -> str:

@@ -54,6 +54,7 @@ class Capture:
     trigger : with which the session was run when it was recorded; None for one that was not
     is_exposure_known : whether its frames say their own; else it is taken to be 1, and may drift
     is_opencv : whether the axes of its cameras were turned from OpenCV's when it was read
+    source : where a recording of our own says that its frames come from, in words; empty where nothing is said
     """
 
     format_name: str
@@ -64,6 +65,7 @@ class Capture:
     trigger: TriggerSettings | None = None
     is_exposure_known: bool = False
     is_opencv: bool = False
+    source: str = ""
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         """The frames, one in memory at a time."""

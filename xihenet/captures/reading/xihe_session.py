@@ -35,6 +35,7 @@ def read(folder: Path, up: str | None) -> Capture:
         facts.reference_exposure,
         facts.trigger,
         is_exposure_known=True,
+        source=facts.source,
     )
 
 
