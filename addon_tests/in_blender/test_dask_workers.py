@@ -1,5 +1,6 @@
 """Work over Dask: what dies is tried again, what cannot be done says so, and rooms are the same whoever makes them."""
 
+import threading
 from urllib.request import urlopen
 
 import pytest
@@ -10,6 +11,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.build import build_dataset
 from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.store import room_path, save_room
+from xihe_blender.lab.workers import dask_workers
 from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
@@ -99,6 +101,21 @@ def test_a_scheduler_that_was_started_without_a_dashboard_has_none():
 def test_a_folder_that_no_worker_sees_is_one_line(scheduler, tmp_path):
     with open_dask_workers(None, scheduler) as workers, pytest.raises(UserError, match="under the same path"):
         workers.check_workers(str(tmp_path / "none"), [])
+
+
+def test_a_worker_with_another_blender_is_one_line(scheduler, tmp_path, monkeypatch):
+    there = {"module": "4.4.0"}
+
+    def version():
+        return "4.5.0" if threading.current_thread() is threading.main_thread() else there["module"]
+
+    monkeypatch.setattr(dask_workers, "blender_version", version)
+    with open_dask_workers(None, scheduler) as workers:
+        for there["module"], said in (("4.4.0", "bpy 4.4.0"), (None, "no bpy")):
+            with pytest.raises(UserError, match=f"has {said} and this is bpy 4.5.0, which may render otherwise"):
+                workers.check_workers(str(tmp_path), [])
+        there["module"] = "4.5.0"
+        workers.check_workers(str(tmp_path), [])
 
 
 def test_an_address_that_is_none_is_one_line(monkeypatch):

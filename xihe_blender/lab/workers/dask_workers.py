@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import importlib.metadata
 import json
 import logging
 import math
@@ -71,7 +72,7 @@ class DaskWorkers:
     failed: dict[str, str] = field(default_factory=dict)  # why what could not be done, by name
 
     def check_workers(self, folder: str, scenes: list[str]) -> None:
-        """UserError if no worker is there, or one does not have this project, the folder or a scene.
+        """UserError if no worker is there, or one does not have this project, this Blender, the folder or a scene.
 
         The scheduler needs the project too: it reads what it passes on.
         """
@@ -91,9 +92,14 @@ class DaskWorkers:
         for worker, told in self.client.run(describe_worker, folder, scenes, on_error="return").items():
             if isinstance(told, BaseException):
                 raise UserError(f"worker {worker} does not have this project: install xihe-blender there ({told})")
-            version, unusable = told
+            version, blender, unusable = told
             if version != __version__:
                 raise UserError(f"worker {worker} has xihe {version} and this is {__version__}: install the same")
+            if blender != blender_version():
+                raise UserError(
+                    f"worker {worker} has {_module(blender)} and this is {_module(blender_version())}, which may "
+                    "render otherwise: install the same"
+                )
             if unusable:
                 raise UserError(f"worker {worker} cannot use {unusable[0]}: all workers need it under the same path")
 
@@ -138,6 +144,10 @@ class DaskWorkers:
         self.shares[name] = share
 
 
+def _module(blender: str | None) -> str:
+    return "no bpy" if blender is None else f"bpy {blender}"
+
+
 def _why_it_failed(future: Future[str | None]) -> str | None:
     if future.status == "error":
         error = future.exception()
@@ -179,10 +189,18 @@ def _pass_on(process: subprocess.Popen[str], work: Work) -> None:
             worker.log_event(TOPIC, (work.name, float(line)))
 
 
-def describe_worker(folder: str, scenes: list[str]) -> tuple[str, list[str]]:
-    """What decides whether a worker can help: its version, and which of the paths it does not see or write to."""
+def blender_version() -> str | None:
+    """Of Blender as a Python module, which is not loaded for it; None where there is none."""
+    try:
+        return importlib.metadata.version("bpy")
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def describe_worker(folder: str, scenes: list[str]) -> tuple[str, str | None, list[str]]:
+    """What decides whether a worker can help: versions, Blender's too, and which paths it does not see or write to."""
     unseen = [path for path in (folder, *scenes) if not Path(path).exists()]
-    return __version__, unseen or ([] if os.access(folder, os.W_OK) else [folder])
+    return __version__, blender_version(), unseen or ([] if os.access(folder, os.W_OK) else [folder])
 
 
 def has_dashboard(dask_scheduler: Any) -> bool:
