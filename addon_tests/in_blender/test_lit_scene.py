@@ -1,5 +1,6 @@
 """The scene `Xihe Lit`: in the .blend that a run saves, whose light is that of results.json, and in the open file."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from shown_lights import keyed, shown_light
 from tiny_scenes import material, opened, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
+from xihe_blender.addon.runs_folder import found_folder, last_run
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, has_anything, lit_scene
 from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, remove_lit_scene, set_up_lit_scene
@@ -111,6 +113,38 @@ def lit_file(ran):
     """The run, whose saved file is open."""
     opened(ran.out / "untitled_lit.blend")
     return ran
+
+
+def test_the_panel_shows_the_run_beside_the_lit_file_and_still_does_when_both_were_moved(ran, tmp_path):
+    sent = tmp_path / "sent" / "out"
+    shutil.copytree(ran.out, sent)
+    with registered_addon():
+        opened(sent / "untitled_lit.blend")
+        scene = bpy.context.scene
+        assert found_folder(scene.xihe.run_folder) == sent and last_run(scene.xihe.run_folder) is not None
+        bpy.context.window.scene = lit_scene()
+        assert poll_message(bpy.ops.xihe.show_room) == "", "the lit scene knows its room"
+        bpy.context.window.scene = scene
+        bpy.ops.xihe.show_lit()
+        assert [other.name for other in bpy.data.scenes] == [scene.name, LIT_SCENE]
+        saved(sent / "untitled_lit.blend")
+        moved = sent.parent.rename(tmp_path / "moved") / "out"
+        opened(moved / "untitled_lit.blend")
+        assert found_folder(scene_with_run().xihe.run_folder) == moved
+
+
+def test_a_later_run_of_the_lit_file_is_the_one_that_it_shows(ran, tmp_path):
+    shutil.copyfile(ran.out / "untitled_lit.blend", tmp_path / "sent.blend")
+    with registered_addon():
+        opened(tmp_path / "sent.blend")
+        scene_with_run().xihe.run_folder = str(ran.out)
+        saved(tmp_path / "sent.blend")
+        opened(tmp_path / "sent.blend")
+        assert found_folder(scene_with_run().xihe.run_folder) == ran.out
+
+
+def scene_with_run():
+    return next(scene for scene in bpy.data.scenes if ROOM not in scene)
 
 
 def test_the_users_scene_is_in_it_and_nothing_but_xihes_is_added(lit_file):

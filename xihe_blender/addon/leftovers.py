@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon.background_run import newest_run
+from xihe_blender.apply.datablocks import ROOM, RUN_BESIDE, lit_scene
 from xihe_blender.apply.lit_scene import remove_lit_collections
 from xihe_blender.scene.state import WORKING
 
@@ -47,8 +48,20 @@ def _look_for_run() -> None:
 
     And one that has ended, if the file was closed without saving: see `properties._unshown_run`.
     """
+    _show_run_beside()
     begun = [scene.xihe.begun_run for scene in bpy.data.scenes]
     bpy.context.window_manager.xihe.newest_run = str(newest_run(bpy.data.filepath, begun) or "")
+
+
+def _show_run_beside() -> None:
+    """Have the lit file of a run show that run, when it is opened for the first time."""
+    lit = lit_scene()
+    if lit is None or RUN_BESIDE not in lit:
+        return
+    # Absolute: the file may be saved elsewhere.
+    folder, room = bpy.path.abspath(lit.pop(RUN_BESIDE)), lit[ROOM]
+    if room is not None:
+        room.xihe.run_folder, room.xihe.run_made_of, room.xihe.begun_run = folder, "", ""
 
 
 def register() -> None:

@@ -63,12 +63,14 @@ def found_folder(folder: str) -> Path:
     """Where a run or an error budget lies that a scene remembers in `folder`, as an absolute path.
 
     If that is gone, it is sought by its name where runs are kept now, and beside the file: the two were moved together.
+    The file may also lie in it, as the lit file of a run does.
     The path may be of Windows, on another system.
     """
     remembered = Path(bpy.path.abspath(folder))
     if not folder or remembered.is_dir():
         return remembered
-    moved = (parent / last_part(folder) for parent in folders_with_runs())
+    name, own = last_part(folder), Path(bpy.path.abspath("//"))
+    moved = [*(parent / name for parent in folders_with_runs()), *([own] if own.name == name else [])]
     return next((place for place in moved if place.is_dir()), remembered)
 
 

@@ -28,7 +28,10 @@ BETTER_PATH = "Xihe Better Path"
 
 SAME_PLACE_M = 1e-4
 ROOM = "xihe_room"
-"""Custom property of the scene `Xihe Lit` in an open file: the scene that it shows the objects of."""
+"""Custom property of the scene `Xihe Lit`: the scene that it shows the objects of."""
+
+RUN_BESIDE = "xihe_run"
+"""Custom property of `Xihe Lit` in the lit file of a run: where the run lies, relative to that file."""
 
 MADE_BY = "xihe_image"
 """Custom property of our images, so that one of the user's of the same name is left alone."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.apply import key_suns
-from xihe_blender.apply.datablocks import LIT_SCENE, applied_worlds
+from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, RUN_BESIDE, applied_worlds
 from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene, show_only_in
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
@@ -77,9 +77,14 @@ def save_lit_blend(
     surfaces: Mapping[str, Sequence[Surface]],
     path: Path,
 ) -> None:
-    """Save a copy of the open file to `path`, whole or not at all, with the scene `Xihe Lit` in it; OSError if not."""
+    """Save a copy of the open file as `path`, in the run's folder, with the scene `Xihe Lit` in it.
+
+    Whole or not at all; OSError if not.
+    """
     remove_lit_scene()
     lit = make_lit_scene(scene, objects, surfaces)
+    # The panel shows the run that the file is of: the copied scene may still know an earlier one, or none.
+    lit[ROOM], lit[RUN_BESIDE] = scene, "//"
     try:
         with written_whole(path) as beside:
             bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
