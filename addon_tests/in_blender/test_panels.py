@@ -101,6 +101,8 @@ def test_what_a_run_asks_to_check_is_shown_in_the_panels_words_and_the_rest_is_i
 def test_errors_of_the_command_line_are_said_in_the_panels_words():
     said = in_the_panels_words("light.exr cannot be read: run xihe previs again, or add --light sh+key with --units")
     assert said == "light.exr cannot be read: run again, or add Light sh+key with --units"
+    said = in_the_panels_words("cannot write viewer.html (Read-only file system): choose another folder for --out")
+    assert said.endswith("(Read-only file system): run again, with a Runs Folder that can be written to")
 
 
 def test_results_are_read_once_until_they_change(run_folder):

@@ -22,7 +22,7 @@ IN_THE_PANEL = {
     "--frames": "Own Frames",
     "--height": "Height",
     "--network": "Network",
-    "--out": "Runs Folder",
+    "choose another folder for --out": "run again, with a Runs Folder that can be written to",
     "--phone": "Phone",
     "run xihe previs": "run",
     ", or give a larger --reach": "",

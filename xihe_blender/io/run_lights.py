@@ -136,7 +136,7 @@ def write_lights(
     try:
         return write_together(out, files)
     except OSError as error:
-        raise UserError(f"cannot write to {out} ({error.strerror}): choose another folder") from error
+        raise UserError(f"cannot write to {out} ({error.strerror}): choose another folder for --out") from error
 
 
 def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[NamedLight]:
