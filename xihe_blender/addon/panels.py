@@ -256,8 +256,11 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         if job.is_running:
             self._draw_progress(context, job)
             return
-        row = layout.row()
+        row = layout.row(align=True)
         row.scale_y = RUN_SCALE
+        # Blender takes the first thing here that is no button for the progress bar under the mouse, and draws a label
+        # as a button then.
+        row.separator(factor=0.0)
         row.operator("xihe.run", text="Run", icon="PLAY")
         if job.unshown_run:
             self._draw_unshown(context, BackgroundRun(Path(job.unshown_run)))
