@@ -277,10 +277,16 @@ def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_pat
     scene.collection.objects.link(bpy.data.objects.new("Smoke", smoke))
     bpy.ops.cachefile.open(filepath=str(tmp_path / "walk.abc"))
     cube.modifiers.new("", "MESH_SEQUENCE_CACHE").cache_file = bpy.data.cache_files["walk.abc"]
+    for name, file in (("Spot", "spot.ies"), ("Bulb", "there.png")):
+        lamp = bpy.data.lights.new(name, "POINT")
+        scene.collection.objects.link(bpy.data.objects.new(name, lamp))
+        node = shader_node(nodes_of(lamp)[0], "TexIES")
+        node.mode, node.filepath = "EXTERNAL", str(tmp_path / file)
     bpy.context.view_layer.update()
     faults = {fault.name: fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)}
-    assert faults.keys() == {"wall", "sky", "smoke", "walk.abc"}
+    assert faults.keys() == {"wall", "sky", "smoke", "walk.abc", "Spot"}
     assert "pink" in faults["sky"] and all("without it" in faults[name] for name in ("smoke", "walk.abc"))
+    assert "spot.ies" in faults["Spot"] and "a strength of 100" in faults["Spot"]
 
 
 def shown_in_the_sky(image):

@@ -44,7 +44,7 @@ def file_of(block: Any) -> str | None:
     if is_packed or block.filepath in ("", "<builtin>") or getattr(block, "source", "") in ("GENERATED", "VIEWER"):
         return None
     is_sequence = getattr(block, "is_sequence", False) or getattr(block, "source", "") == "SEQUENCE"
-    return _pattern(block, block.filepath, is_sequence=is_sequence)
+    return pattern_of(block, block.filepath, is_sequence=is_sequence)
 
 
 def _blocks() -> Iterator[str]:
@@ -72,7 +72,7 @@ def _nodes() -> Iterator[str]:
             paths = [str(one.default_value) for one in sockets]  # type: ignore[attr-defined]
             if getattr(node, "mode", "EXTERNAL") == "EXTERNAL":
                 paths.append(getattr(node, "filepath", ""))
-            yield from (_pattern(owner, path) for path in paths if path)
+            yield from (pattern_of(owner, path) for path in paths if path)
 
 
 def _caches() -> Iterator[str]:
@@ -91,7 +91,7 @@ def _caches() -> Iterator[str]:
             if modifier.type == "OCEAN" and modifier.is_cached:
                 folders.append(modifier.filepath)
             elif modifier.filepath and modifier.type != "OCEAN":
-                yield _pattern(item, modifier.filepath)
+                yield pattern_of(item, modifier.filepath)
             yield from (_below(item, folder) for folder in folders if folder)
         for cache in filter(None, caches):
             library = item.library if cache.use_library_path else None
@@ -99,7 +99,7 @@ def _caches() -> Iterator[str]:
             beside = f"//blendcache_{Path(file).stem}" if cache.use_disk_cache and cache.is_baked else ""
             folder = bpy.path.abspath(cache.filepath if cache.use_external else beside, library=library)
             if folder:
-                yield str(Path(_pattern(item, folder), POINTS))
+                yield str(Path(pattern_of(item, folder), POINTS))
 
 
 class _AnyModifier:
@@ -113,11 +113,11 @@ class _AnyModifier:
 
 
 def _below(owner: bpy.types.ID, folder: str) -> str:
-    return str(Path(_pattern(owner, folder), "**", "*"))
+    return str(Path(pattern_of(owner, folder), "**", "*"))
 
 
-def _pattern(owner: bpy.types.ID, path: str, *, is_sequence: bool = False) -> str:
-    """Of what Blender reads there for `owner`, whose library a relative path starts from."""
+def pattern_of(owner: bpy.types.ID, path: str, *, is_sequence: bool = False) -> str:
+    """The pattern of what Blender reads at `path` for `owner`, whose library a relative path starts from."""
     absolute = Path(bpy.path.abspath(path, library=owner.library))
     name = glob.escape(absolute.name).replace("<UDIM>", 4 * "[0-9]").replace("<UVTILE>", "u*_v*")
     if is_sequence:

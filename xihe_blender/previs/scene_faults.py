@@ -21,7 +21,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import matching
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
-from xihe_blender.previs.files_read import file_of
+from xihe_blender.previs.files_read import file_of, pattern_of
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.shader_nodes import constant, has_nodes
@@ -42,6 +42,7 @@ COUNTED_AT_ONCE = 2**20
 """Pixels: an HDRI may have a hundred million."""
 
 READ_FROM_FILES = (bpy.types.Image, bpy.types.Volume, bpy.types.CacheFile)
+HAS_SHADER = (bpy.types.Light, bpy.types.Material, bpy.types.World)
 
 NEGLIGIBLE_SHARE = 1e-4
 """Of an image's light: what colours outside Rec.709 take away as negative numbers, in HDRIs from real places."""
@@ -80,13 +81,19 @@ def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool) -> list[F
 
 
 def _missing_files(blocks: Iterable[bpy.types.ID]) -> Iterator[Fault]:
-    """Images, volumes and caches among `blocks` whose file is not there; Blender says so only on its console."""
+    """Images, volumes, caches and IES files of `blocks` that are not there; Blender says so only on its console."""
     for block in blocks:
-        if isinstance(block, READ_FROM_FILES) and not block.original.name.startswith(PREFIX):
-            pattern = file_of(block.original)
+        original, files = block.original, []
+        if isinstance(block, READ_FROM_FILES) and not original.name.startswith(PREFIX):
+            drawn = "renders pink in its place" if isinstance(block, bpy.types.Image) else "renders without it"
+            files = [(file_of(original), original.filepath, drawn)]
+        elif isinstance(block, HAS_SHADER) and has_nodes(original):
+            nodes = [node for node in original.node_tree.nodes if node.type == "TEX_IES" and node.mode == "EXTERNAL"]
+            paths = [node.filepath for node in nodes if node.filepath]
+            files = [(pattern_of(original, path), path, "takes a strength of 100 in all directions") for path in paths]
+        for pattern, path, does in files:
             if pattern is not None and not any(matching(pattern)):
-                drawn = "pink in its place" if isinstance(block, bpy.types.Image) else "without it"
-                said = f"The file of {block.name!r}, {block.original.filepath}, is not there: Cycles renders {drawn}. "
+                said = f"The file of {block.name!r}, {path}, is not there: Cycles {does}. "
                 yield Fault(name=block.name, n=1, said=said + "Put the file back where Blender looks for it.")
 
 
