@@ -282,9 +282,13 @@ def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_pat
         scene.collection.objects.link(bpy.data.objects.new(name, lamp))
         node = shader_node(nodes_of(lamp)[0], "TexIES")
         node.mode, node.filepath = "EXTERNAL", str(tmp_path / file)
+    group = bpy.data.node_groups.new("Beam", "ShaderNodeTree")
+    node = shader_node(group, "TexIES")
+    node.mode, node.filepath = "EXTERNAL", str(tmp_path / "beam.ies")
+    shader_node(lamp.node_tree, "Group").node_tree = group
     bpy.context.view_layer.update()
     faults = {fault.name: fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)}
-    assert faults.keys() == {"wall", "sky", "smoke", "walk.abc", "Spot"}
+    assert faults.keys() == {"wall", "sky", "smoke", "walk.abc", "Spot", "Beam"}
     assert "pink" in faults["sky"] and all("without it" in faults[name] for name in ("smoke", "walk.abc"))
     assert "spot.ies" in faults["Spot"] and "a strength of 100" in faults["Spot"]
 

@@ -87,14 +87,24 @@ def _missing_files(blocks: Iterable[bpy.types.ID]) -> Iterator[Fault]:
         if isinstance(block, READ_FROM_FILES) and not original.name.startswith(PREFIX):
             drawn = "renders pink in its place" if isinstance(block, bpy.types.Image) else "renders without it"
             files = [(file_of(original), original.filepath, drawn)]
-        elif isinstance(block, HAS_SHADER) and has_nodes(original):
-            nodes = [node for node in original.node_tree.nodes if node.type == "TEX_IES" and node.mode == "EXTERNAL"]
+        else:
+            nodes = [node for node in _shader_nodes(original) if node.type == "TEX_IES" and node.mode == "EXTERNAL"]
             paths = [node.filepath for node in nodes if node.filepath]
             files = [(pattern_of(original, path), path, "takes a strength of 100 in all directions") for path in paths]
         for pattern, path, does in files:
             if pattern is not None and not any(matching(pattern)):
                 said = f"The file of {block.name!r}, {path}, is not there: Cycles {does}. "
                 yield Fault(name=block.name, n=1, said=said + "Put the file back where Blender looks for it.")
+
+
+def _shader_nodes(block: bpy.types.ID) -> Iterable[bpy.types.Node]:
+    """Those of a lamp, material or world that uses nodes, or of a group of shader nodes; none of what has no shader.
+
+    `depsgraph.ids` gives groups as blocks of their own, and an owner's tree beside it.
+    """
+    if isinstance(block, bpy.types.ShaderNodeTree):
+        return () if block.is_embedded_data else block.nodes
+    return block.node_tree.nodes if isinstance(block, HAS_SHADER) and has_nodes(block) else ()
 
 
 def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[tuple[str, str, float, bool]]:
