@@ -17,7 +17,7 @@ from tiny_scenes import material, opened, room_with_a_virtual_sphere, saved, sph
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.addon.runs_folder import found_folder, last_run
-from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, has_anything, lit_scene
+from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, RUN_BESIDE, has_anything, lit_scene
 from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, remove_lit_scene, set_up_lit_scene
 from xihe_blender.errors import UserError
@@ -131,6 +131,20 @@ def test_the_panel_shows_the_run_beside_the_lit_file_and_still_does_when_both_we
         moved = sent.parent.rename(tmp_path / "moved") / "out"
         opened(moved / "untitled_lit.blend")
         assert found_folder(scene_with_run().xihe.run_folder) == moved
+
+
+def test_the_lit_file_knows_no_run_but_its_own(ran, tmp_path):
+    shutil.copyfile(ran.out / "untitled_lit.blend", tmp_path / "sent.blend")
+    with registered_addon():
+        opened(tmp_path / "sent.blend")
+        # As the copy of a scene that had shown a run, and begun another.
+        for scene in bpy.data.scenes:
+            scene.xihe.run_folder, scene.xihe.begun_run = str(ran.out), str(tmp_path / "begun")
+        lit_scene()[RUN_BESIDE] = "//"
+        saved(tmp_path / "sent.blend")
+        opened(tmp_path / "sent.blend")
+        shown = {(found_folder(scene.xihe.run_folder), scene.xihe.begun_run) for scene in bpy.data.scenes}
+        assert shown == {(tmp_path, "")}
 
 
 def test_a_later_run_of_the_lit_file_is_the_one_that_it_shows(ran, tmp_path):

@@ -58,10 +58,9 @@ def _show_run_beside() -> None:
     lit = lit_scene()
     if lit is None or RUN_BESIDE not in lit:
         return
-    # Absolute: the file may be saved elsewhere.
-    folder, room = bpy.path.abspath(lit.pop(RUN_BESIDE)), lit[ROOM]
-    if room is not None:
-        room.xihe.run_folder, room.xihe.run_made_of, room.xihe.begun_run = folder, "", ""
+    folder = bpy.path.abspath(lit.pop(RUN_BESIDE))  # The file may be saved elsewhere.
+    for scene in filter(None, (lit, lit[ROOM])):
+        scene.xihe.run_folder, scene.xihe.run_made_of, scene.xihe.begun_run = folder, "", ""
 
 
 def register() -> None:
