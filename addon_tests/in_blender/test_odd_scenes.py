@@ -293,6 +293,20 @@ def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_pat
     assert "spot.ies" in faults["Spot"] and "a strength of 100" in faults["Spot"]
 
 
+def test_light_in_a_node_group_is_looked_at_as_that_of_the_material_around_it():
+    scene, glow = empty_scene(), bpy.data.materials.new("Glow")
+    group = bpy.data.node_groups.new("Shine", "ShaderNodeTree")
+    strength = shader_node(group, "Emission").inputs["Strength"]
+    shader_node(nodes_of(glow)[0], "Group").node_tree = group
+    box(scene, "Box", (0, 0, 0), (1, 1, 1), glow)
+    strength.default_value = -1.0
+    said = [fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)]
+    assert len(said) == 1 and said[0].startswith("The light of node group 'Shine' is negative")
+    strength.default_value = float("nan")
+    with pytest.raises(UserError, match="node group 'Shine' has nan as its strength"):
+        faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)
+
+
 def shown_in_the_sky(image):
     set_world(bpy.context.scene).node_tree.nodes.new("ShaderNodeTexEnvironment").image = image
 

@@ -108,7 +108,7 @@ def _shader_nodes(block: bpy.types.ID) -> Iterable[bpy.types.Node]:
 
 
 def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[tuple[str, str, float, bool]]:
-    """The constants of all lamps, and of all shaders of materials and worlds, among `blocks`.
+    """The constants of all lamps, and of all shaders of materials, worlds and node groups, among `blocks`.
 
     Of each: what it belongs to, its name, its value, and whether it says how brightly something shines.
     """
@@ -116,14 +116,13 @@ def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[tuple[str, str, float
         if isinstance(block, bpy.types.Light):
             where = f"lamp {block.name!r}"
             yield from ((where, "Strength", float(value), True) for value in (block.energy, *block.color))
-        elif isinstance(block, bpy.types.Material | bpy.types.World):
-            where = f"{block.bl_rna.name.lower()} {block.name!r}"
+        elif isinstance(block, bpy.types.ShaderNodeTree):
+            where = f"node group {block.name!r}"
         else:
-            continue
-        if has_nodes(block):
-            for socket in (socket for node in block.node_tree.nodes for socket in node.inputs):
-                shines = socket.name in EMISSION_INPUTS.get(socket.node.type, ())
-                yield from ((where, socket.name, number, shines) for number in _numbers(socket))
+            where = f"{block.bl_rna.name.lower()} {block.name!r}"
+        for socket in (socket for node in _shader_nodes(block) for socket in node.inputs):
+            shines = socket.name in EMISSION_INPUTS.get(socket.node.type, ())
+            yield from ((where, socket.name, number, shines) for number in _numbers(socket))
 
 
 def _numbers(socket: bpy.types.NodeSocket) -> list[float]:
