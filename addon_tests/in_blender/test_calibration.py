@@ -40,7 +40,7 @@ def test_dearer_presets_take_no_less_and_the_scene_stays_as_it_is():
 def test_what_is_remembered_is_whole_and_says_its_sentence(tmp_path):
     save_calibration(tmp_path / "deep" / "calibration.json", KNOWN)
     kept = json.loads((tmp_path / "deep" / "calibration.json").read_text(encoding="utf-8"))
-    said = "draft 0.41 s, balanced 0.90 s, accurate 3.1 s a frame, measured on room"
+    said = "Capturing a frame of room took 0.41 s at draft, 0.90 s at balanced and 3.1 s at accurate quality"
     assert kept == {**asdict(KNOWN), "said": said} and format_calibration(KNOWN) == said
 
 

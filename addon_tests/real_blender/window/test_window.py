@@ -82,7 +82,8 @@ def test_calibration_shows_how_far_it_is_and_leaves_the_scene_as_it_was(calibrat
 def test_the_panel_says_what_the_presets_cost(calibrate):
     assert calibrate.facts["left_alone"]["is_remembered"]
     said = calibrate.facts["said"]
-    assert re.fullmatch(r"draft \S+ s, balanced \S+ s, accurate \S+ s a frame, measured on small_room", said), said
+    costs = r"\S+ s at draft, \S+ s at balanced and \S+ s at accurate quality"
+    assert re.fullmatch(rf"Capturing a frame of small_room took {costs}", said), said
     assert said in calibrate.facts["drawn"]
 
 
