@@ -290,7 +290,7 @@ def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_pat
     faults = {fault.name: fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)}
     assert faults.keys() == {"wall", "sky", "smoke", "walk.abc", "Spot", "Beam"}
     assert "pink" in faults["sky"] and all("without it" in faults[name] for name in ("smoke", "walk.abc"))
-    assert "spot.ies" in faults["Spot"] and "a strength of 100" in faults["Spot"]
+    assert "spot.ies" in faults["Spot"] and "100 times the Strength" in faults["Spot"]
 
 
 def test_light_in_a_node_group_is_looked_at_as_that_of_the_material_around_it():

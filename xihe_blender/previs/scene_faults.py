@@ -80,6 +80,10 @@ def faults_at_frame(depsgraph: bpy.types.Depsgraph, *, is_first: bool) -> list[F
     return faults + [fault for block in seen if isinstance(block, bpy.types.Mesh) for fault in _mesh_faults(block)]
 
 
+NO_IES = "makes the light equally strong in all directions, at 100 times the Strength of its IES Texture"
+FIND_IT = "Put the file back, or choose File > External Data > Find Missing Files."
+
+
 def _missing_files(blocks: Iterable[bpy.types.ID]) -> Iterator[Fault]:
     """Images, volumes, caches and IES files of `blocks` that are not there; Blender says so only on its console."""
     for block in blocks:
@@ -90,11 +94,11 @@ def _missing_files(blocks: Iterable[bpy.types.ID]) -> Iterator[Fault]:
         else:
             nodes = [node for node in _shader_nodes(original) if node.type == "TEX_IES" and node.mode == "EXTERNAL"]
             paths = [node.filepath for node in nodes if node.filepath]
-            files = [(pattern_of(original, path), path, "takes a strength of 100 in all directions") for path in paths]
+            files = [(pattern_of(original, path), path, NO_IES) for path in paths]
         for pattern, path, does in files:
             if pattern is not None and not any(matching(pattern)):
                 said = f"The file of {block.name!r}, {path}, is not there: Cycles {does}. "
-                yield Fault(name=block.name, n=1, said=said + "Put the file back where Blender looks for it.")
+                yield Fault(name=block.name, n=1, said=said + FIND_IT)
 
 
 def _shader_nodes(block: bpy.types.ID) -> Iterable[bpy.types.Node]:
