@@ -84,6 +84,9 @@ def backend_notes(run: PreparedRun) -> Iterator[str]:
         yield "When they arrive is what --network says, or at once: the time that the service took does not count."
 
 
+WITH_REFLECTIONS = "reflections (--light sh+key+reflections, or Estimator > Details > Light in the panel)"
+
+
 def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -> Iterator[str]:
     """What objects are lit with, and whether that is what they call for."""
     said = "`truth` is all the light of the rendered probe as order-2 spherical harmonics, not clipped"
@@ -94,9 +97,9 @@ def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -
     if settings.has_reflections:
         yield "Glossy parts reflect what the phone saw of the room, and a guess where it saw nothing."
         if not shiny:
-            yield "No virtual object is shiny, so that reflections change nothing: --light sh+key looks the same."
+            yield "No virtual object is shiny, so that the light looks the same without reflections."
     elif shiny:
-        yield f"Shiny virtual objects: {shiny}. With --light sh+key+reflections they show the room that the phone saw."
+        yield f"Shiny virtual objects: {shiny}. With {WITH_REFLECTIONS} they show the room that the phone saw."
     else:
         yield "No virtual object is shiny, so that none calls for reflections."
 
