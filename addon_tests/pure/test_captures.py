@@ -143,15 +143,17 @@ def test_where_no_light_can_be_known_replay_says_why(tmp_path, capfd, is_doubted
     assert why in said
 
 
-def test_replay_warns_of_a_place_that_lies_behind_what_every_frame_shows_there(tmp_path, capfd):
+def test_replay_warns_of_a_place_that_lies_behind_what_every_frame_shows_there_or_in_view_of_none(tmp_path, capfd):
     frames = walk(SMALL, 3)
-    near, far = (frames[0].world_from_camera @ [0, 0, -metres, 1] for metres in (0.3, 50.0))
-    places = [",".join(f"{value:.6f}" for value in place[:3]) for place in (near, far)]
+    near, far, unseen = (frames[0].world_from_camera @ [0, 0, -metres, 1] for metres in (0.3, 50.0, -30.0))
+    places = [",".join(f"{value:.6f}" for value in place[:3]) for place in (near, far, unseen)]
     command = ["replay", str(as_plain(tmp_path / "in", frames)), *(f"--at={place}" for place in places)]
     assert main([*command, "--out", str(tmp_path / "out"), "--estimator", "ambient"]) == 0
-    warned = [line for line in capfd.readouterr().err.splitlines() if "lies behind" in line]
+    said = capfd.readouterr().err.splitlines()
+    assert len([line for line in said if "is in view of no frame" in line and "check --at" in line]) == 1
+    warned = [line for line in said if "lies behind" in line]
     assert len(warned) == 1 and "check --at" in warned[0]
-    assert warned[0].split()[2].startswith(f"{far[0]:g}"[:4])
+    assert warned[0].split()[4].startswith(f"{far[0]:g}"[:4])
 
 
 def test_a_long_replay_says_how_far_it_is(tmp_path, capfd, monkeypatch):

@@ -50,10 +50,9 @@ SCORE_SAYS = (
     "The score is the error in directions that only left-out frames show, of light clipped at white (--target ldr). It "
     "compares estimators; it is no error of the light."
 )
-HIDDEN = (
-    "lies behind what is seen there in all frames that look at it: its light is estimated from other surfaces; check "
-    "--at, which is in metres in the recording's world"
-)
+CHECK = "check --at, which is in metres in the recording's world"
+OUT_OF_VIEW = f"is in view of no frame, so that its light is estimated from what frames show elsewhere: {CHECK}."
+HIDDEN = f"lies behind a surface in all frames that look at it, so that its light is estimated from others: {CHECK}."
 NOT_ASKED = "No place could be asked: every part of the recording shows what the others do."
 LEAST_FRAMES, MOST_FRAMES_SHOWN = 3, 8
 LOOKED_AT = 12  # Frames, to choose places that are scored; some of them twice where there are fewer
@@ -147,9 +146,9 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         print(f"xihe: note: {note}", file=stderr)
     for place in places:
         if place.name in unseen:
-            print(f"xihe: note: No frame looks at {place.where}: it is asked about in every frame.", file=stderr)
+            print(f"xihe: note: The position {place.where} {OUT_OF_VIEW}", file=stderr)
         elif place.n_hidden and place.n_hidden == place.n_asked:
-            print(f"xihe: note: {place.where} {HIDDEN}", file=stderr)
+            print(f"xihe: note: The position {place.where} {HIDDEN}", file=stderr)
     for path in _write(options, capture, places, steps, score, drift):
         print(path, file=stdout)
     for place in places:
