@@ -88,7 +88,7 @@ def _odometry(path: Path) -> list[ArrayF64]:
         if len(line) <= max(columns):
             raise ValueError(
                 f"{path}, line {number}: expected {', '.join(COLUMNS)}, got {line!r:.80}: "
-                "copy the file again, or cut the line"
+                "copy the file again, or delete the line"
             )
         rows.append(numbers([line[column] for column in columns], len(columns), f"{path}, line {number}"))
         if not (rows[-1][1].is_integer() and 0 <= rows[-1][1] < MOST_FRAMES):

@@ -83,13 +83,15 @@ def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:
     """Time and the other values of each line, by rising time."""
     lines = [line.split() for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines()]
     numbered = [(number, row) for number, row in enumerate(lines, 1) if row and not row[0].startswith("#")]
-    expected = f"expected lines of a time and {n_values} more, and at least one of them"
+    expected = f"expected lines of a time and {n_values} more values"
     for number, row in numbered:
         if len(row) != 1 + n_values:
-            raise ValueError(f"{path}, line {number}: {expected}, got {len(row)}: copy the file again, or cut the line")
+            raise ValueError(
+                f"{path}, line {number}: {expected}, got {len(row)} in all: copy the file again, or delete the line"
+            )
     rows = [row for _, row in numbered]
     if not rows:
-        raise ValueError(f"{path}: {expected}")
+        raise ValueError(f"{path}: {expected}, got no line: copy the file again")
     times = [float(numbers(row[:1], 1, str(path))[0]) for row in rows]
     return sorted(((time_s, row[1:]) for time_s, row in zip(times, rows, strict=True)), key=lambda one: one[0])
 
