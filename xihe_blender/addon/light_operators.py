@@ -83,8 +83,10 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
             return {"CANCELLED"}
         if added := keep_added():
             names = ", ".join(item.name for item in added)
-            said = f"Added to Xihe Lit, and in the room's collection Xihe Virtual now: {names}"
-            self.report({"INFO"}, f"{said}. Show Lit gives objects light of their own, and shows no lamps or cameras")
+            said = f"What you added in Xihe Lit is now in the room too, in the collection Xihe Virtual: {names}"
+            self.report(
+                {"INFO"}, f"{said}. Show Lit gives objects light of their own, and does not show lamps and cameras"
+            )
         room.frame_set(lit.frame_current)
         if context.window is not None:
             context.window.scene = room

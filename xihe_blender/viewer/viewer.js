@@ -21,7 +21,7 @@ function newRenderer() {
   try {
     return new THREE.WebGLRenderer({ canvas: element("picture"), antialias: false });
   } catch (error) {
-    const fix = "open it in another one, or switch on graphics acceleration in its settings";
+    const fix = "open it in another browser, or switch on graphics acceleration in its settings";
     element("note").textContent = `This page needs WebGL 2, which this browser does not give: ${fix}.`;
     throw error;
   }

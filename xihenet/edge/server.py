@@ -125,7 +125,7 @@ def bound(settings: ServerSettings) -> socket.socket:
     try:
         family, *_, address = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)[0]
     except UnicodeError as error:  # Of a name with two dots in a row, for instance.
-        raise OSError("no name of a machine") from error
+        raise OSError("this is no name of a machine") from error
     at_address = socket.socket(family, socket.SOCK_STREAM)
     try:
         if sys.platform != "win32":  # Where it would let two servers have one address.
