@@ -72,6 +72,7 @@ def _pixel_integrals(size: int, order: int, part: Literal["all", "inside", "beyo
     A quarter of the ball is looked at, the rest are its mirror images.
     """
     cells = max(2, min(CELLS, FINEST // size))
+    cells -= cells * size % 2  # Else cells would lie across the borders of pixels, and count to one side alone.
     place = np.arange(0.5, size * cells / 2) / (size * cells / 2)
     directions, on_ball = _directions(*np.meshgrid(place, place))
     seen = directions[on_ball]

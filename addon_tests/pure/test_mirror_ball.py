@@ -26,6 +26,16 @@ def test_light_of_any_low_order_comes_out_as_it_went_in(size, cells, tolerance):
     assert np.linalg.norm(off[:9]) < tolerance * np.linalg.norm(light)
 
 
+@pytest.mark.parametrize("size", [256, 257, 271, 341, 399, 513])
+def test_a_finer_picture_tells_more_whether_its_size_is_even_or_odd(size):
+    light, directions = random_light(2), ball_directions(size)[0]
+    ball, turned = (
+        (basis((directions * axes).reshape(-1, 3)) @ light).reshape(size, size, 3) for axes in (1, (1, -1, -1))
+    )
+    off = project_mirror_ball(ball, turned=turned) - light
+    assert np.abs(off).max() < 0.15 / size * np.abs(light).max()
+
+
 @pytest.mark.parametrize("towards", [(0, 0, 1), (0.5, 0.2, -0.6), (1, 0, 0), (0, -1, 0), (-0.5, 0.5, -0.5)])
 def test_a_disc_has_its_solid_angle_wherever_it_stands(towards):
     cosine = np.cos(0.3)
