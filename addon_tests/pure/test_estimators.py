@@ -7,7 +7,7 @@ import pytest
 
 from addon_tests.pure.made import constant, frame_of, random_cloud
 from xihenet import estimators
-from xihenet.colour import linear_to_srgb
+from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.estimators import EstimateContext
 from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
@@ -93,6 +93,13 @@ def test_ambient_without_a_frame_takes_the_mean_of_the_set_anchors_in_linear_lig
     cloud = UnitSphereCloud(colours, np.ones(N), np.ones(N, bool))
     expected = constant(np.full(3, 0.1 + 0.8 * half.mean()))
     np.testing.assert_allclose(estimators.load("ambient", N).estimate(cloud), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1280, 65536])
+def test_ambient_gives_the_mean_of_constant_light_whatever_the_number_of_anchors(n):
+    cloud = UnitSphereCloud(np.full((n, 3), [0.3, 0.7, 1.0]), np.ones(n), np.ones(n, bool))
+    expected = constant(srgb_to_linear(cloud.srgb[0].astype(np.float64)))
+    np.testing.assert_allclose(estimators.load("ambient", n).estimate(cloud), expected, rtol=1e-9)
 
 
 def test_ambient_is_clipped_at_white_for_ldr_alone():

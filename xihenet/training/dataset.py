@@ -282,7 +282,7 @@ def _sample(
         clouds = [replace(cloud, grid=None) for cloud in clouds]
     ldr, hdr = room.truth(position, change.gains)
     # What the phone's sensor says: the mean of its pictures.
-    ambient = np.mean([srgb_to_linear(cloud.srgb).mean(axis=0) for cloud in clouds], axis=0)
+    ambient = np.mean([srgb_to_linear(cloud.srgb).mean(axis=0, dtype=np.float64) for cloud in clouds], axis=0)
     return _Sample(_sampled(clouds, settings, rng), (change.of_light(ldr), change.of_light(hdr)), ambient, len(clouds))
 
 
