@@ -132,7 +132,7 @@ def _are_one_surface(inverse: ArrayF32, heights: ArrayF32) -> ArrayBool:
     bends = np.abs(slopes[1:] - slopes[:-1])
     sizes = np.abs(slopes[1:3])
     share, floor = SAME_SURFACE
-    is_one: ArrayBool = np.fmin(bends[:2], bends[1:]) <= share * sizes + floor * inverse[2]
+    is_one: ArrayBool = np.fmin(bends[:2], bends[1:]) < share * sizes + floor * inverse[2]
     # Along the ray the height would change by the share by which the neighbour's distance differs from the pixel's.
     climb = np.abs(heights[2:4] - heights[1:3]) * inverse[1:4:2]
     is_one |= climb < sizes * np.abs(np.float32(LEVEL_SHARE) * heights[2])

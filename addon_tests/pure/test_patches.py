@@ -92,6 +92,19 @@ def test_sampling_pictures_agrees_with_the_reference_on_nasty_points(width, heig
     assert np.isfinite(fast.surfaces.facing).all() and (np.abs(fast.surfaces.facing) <= 1 + 1e-6).all()
 
 
+@pytest.mark.parametrize("depth_m", [1e-40, 1e-12, 1e-9])
+def test_a_point_in_the_camera_itself_is_on_no_surface_with_its_neighbours(depth_m):
+    rng = np.random.default_rng(4)
+    depth = rng.uniform(1, 20, (12, 16)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.2] = depth_m
+    picture = Intrinsics(16, 12, 16, 16, 8, 6)
+    colours = rng.integers(0, 256, (12, 16, 3), np.uint8)
+    cloud = unproject_frame(RgbdFrame(colours, depth, picture, pose_of(np.eye(3), [0.3, 0.7, CAMERA_M])))
+    lattice = AnchorLattice(320)
+    fast = sample_unit_sphere(cloud, np.zeros(3), lattice)
+    assert_same(fast, sample_unit_sphere_reference(cloud, np.zeros(3), lattice))
+
+
 @pytest.mark.parametrize("size", [(64, 48), (128, 96)])
 def test_the_floor_does_not_show_through_a_table_at_a_flat_angle(size):
     cloud, expected = unproject_frame(frame_of_a_table(*size)), table_range_m()
