@@ -131,6 +131,12 @@ def test_grain_makes_neighbours_alike_and_far_pixels_independent():
     assert abs(far) < 0.08
 
 
+@pytest.mark.parametrize("distance_m", [1e-45, 1e-30, 1e-3, 1e5, 1e7, 9.9e8])
+def test_noise_makes_no_hole_at_any_distance(distance_m):
+    for settings in (KINECT_V1, noise(sigma_m=1.0), noise(sigma_m=0.01, growth=1.0, growth_power=4.0)):
+        assert valid_plane_depth(add_noise(wall(distance_m), settings, np.random.default_rng(0))).all()
+
+
 def test_huge_noise_neither_passes_the_camera_nor_makes_holes():
     out = add_noise(wall(0.3), noise(sigma_m=1.0), np.random.default_rng(0))
     assert valid_plane_depth(out).all()

@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.camera import valid_plane_depth
+from xihenet.camera import MISS_PLANE_DEPTH_M, valid_plane_depth
 from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64
+
+FARTHEST_M = np.nextafter(np.float32(MISS_PLANE_DEPTH_M), np.float32(0))  # that is still a surface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +112,8 @@ def add_noise(
 ) -> ArrayF32:
     """Plane depth as the sensor measures it: each pixel reads a place nearby, with an error that grows with distance.
 
-    A surface never comes nearer than half its true distance: noise alone neither turns it behind the camera nor makes
-    a hole. `pixel_scale` is the picture's width over the sensor's.
+    A surface never comes nearer than half its true distance, nor as far as a miss: noise alone neither turns it behind
+    the camera nor makes a hole. `pixel_scale` is the picture's width over the sensor's.
     """
     read_m = _shifted(plane_depth_m, settings.shift_px * pixel_scale, rng)
     sigma_m = noise_sigma_m(plane_depth_m, settings)
@@ -119,9 +121,9 @@ def add_noise(
         return read_m
     error_m = sigma_m * grained_noise(plane_depth_m.shape, settings.grain_px * pixel_scale, rng)
     valid = valid_plane_depth(read_m)
-    nearest_m = 0.5 * np.where(valid, read_m, np.float32(0))
+    nearest_m = np.maximum(0.5 * np.where(valid, read_m, np.float32(0)), np.finfo(np.float32).smallest_subnormal)
     with np.errstate(invalid="ignore"):  # Readings that are none come back below as they were.
-        noisy = np.maximum(read_m + error_m, nearest_m).astype(np.float32)
+        noisy = np.clip(read_m + error_m, nearest_m, FARTHEST_M).astype(np.float32)
     return np.where(valid, noisy, plane_depth_m)
 
 
