@@ -52,6 +52,11 @@ def clipped_sh(
     """
     if not len(radiance):
         raise ValueError("clipped_sh: expected at least one picture, got none")
+    # Asked before anything is clipped: white hides what is infinite, and black what is NaN.
+    every = (*radiance, *emission, *([] if smooth is None else [smooth]))
+    n_bad = sum(np.count_nonzero(~np.isfinite(one).all(axis=-1)) for one in every)
+    if n_bad:
+        raise ValueError(f"clipped_sh: expected finite pictures, got {n_bad} pixels with NaN or infinity")
     # Light below black is none to a picture.
     radiance, emission = ([np.maximum(picture, 0) for picture in some] for some in (radiance, emission))
     reflections = _Reflections(radiance, emission)

@@ -112,6 +112,16 @@ def test_no_sample_is_refused():
         clipped_sh([], [], None)
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("where", range(3))
+@pytest.mark.parametrize("met", [0.0, 2.0])
+def test_what_is_not_finite_is_refused_in_whichever_picture_and_under_a_lamp(bad, where, met):
+    pictures = [np.full((SIZE, SIZE, 3), value, np.float32) for value in (0.5, met, 0.5)]
+    pictures[where][20, 30] = bad
+    with pytest.raises(ValueError, match="finite"):
+        clipped_sh([pictures[0]], [pictures[1]], pictures[2])
+
+
 @pytest.mark.parametrize("is_denoised", [False, True])
 def test_bars_narrower_than_a_pixel_do_not_pass_for_the_window_behind_them(is_denoised):
     """Half of the rays of each pixel meet the sky, half a dim bar: one mean of both is white, light is half of it."""
