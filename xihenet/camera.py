@@ -206,7 +206,7 @@ class PicturePart(NamedTuple):
 def part_around(
     points_m: ArrayLike, intrinsics: Intrinsics, world_from_camera: ArrayLike, margin_px: int = 0
 ) -> PicturePart | None:
-    """The part of a picture that shows points (P, 3), world, metres, and `margin_px` around it.
+    """The part of a picture that shows points (P, 3), one at least, world, metres, and `margin_px` around it.
 
     A part beside the picture has left = right or top = bottom. None where a point is not before the camera, or is not
     finite: what lies between may be anywhere.

@@ -65,9 +65,13 @@ def test_outline_is_convex_and_holds_its_points():
         np.full((100, 3), np.nan),
         np.tile(CENTRE, (100, 1)),
         CENTRE + np.linspace(0, 0.3, 100)[:, None] * [1, 0, 0],
+        CENTRE + np.linspace(0, 0.3, 100)[:, None] * [0.27, 0.53, 0.81],
+        CENTRE
+        + np.linspace(0, 0.3, 100)[:, None] * [0.27, 0.53, 0.81]
+        + np.random.default_rng(0).normal(size=(100, 3)) * 0.004,
         CENTRE + np.random.default_rng(0).normal(size=(30, 3)) * 0.1,
     ],
-    ids=["none", "not finite", "one place", "a line", "too few"],
+    ids=["none", "not finite", "one place", "a line", "a line askew", "a cable", "too few"],
 )
 def test_nothing_flat_is_no_surface(points):
     assert surfaces_of(points, 0.5) == []

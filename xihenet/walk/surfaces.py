@@ -90,10 +90,11 @@ def surfaces_around(
         if np.count_nonzero(is_on) < fewest or len(surfaces) == MOST_SURFACES:
             break
         surface = _surface_through(left[is_on], centre_m, tolerance_m)
-        is_on = np.abs(left @ surface.normal - surface.offset_m) <= tolerance_m
-        is_faced = (seen_from_m[is_on] @ surface.normal > surface.offset_m).mean() > 0.5
-        if is_faced and _filled_share(left[is_on], surface, CELL * reach_m) >= FILLED:
-            surfaces.append(surface)
+        if surface is not None:
+            is_on = np.abs(left @ surface.normal - surface.offset_m) <= tolerance_m
+            is_faced = (seen_from_m[is_on] @ surface.normal > surface.offset_m).mean() > 0.5
+            if is_faced and _filled_share(left[is_on], surface, CELL * reach_m) >= FILLED:
+                surfaces.append(surface)
         left, seen_from_m = left[~is_on], seen_from_m[~is_on]
     return surfaces
 
@@ -149,10 +150,15 @@ def _largest_plane(points_m: ArrayF64, tolerance_m: float, rng: np.random.Genera
     return most
 
 
-def _surface_through(points_m: ArrayF64, centre_m: ArrayF64, tolerance_m: float) -> Surface:
-    """The plane of least squares through the points, cut to their outline, that looks at `centre_m`."""
+def _surface_through(points_m: ArrayF64, centre_m: ArrayF64, tolerance_m: float) -> Surface | None:
+    """The plane of least squares through the points, cut to their outline, that looks at `centre_m`.
+
+    None where they are as good as in a line, such as a cable or an edge: which way that looks, noise would say.
+    """
     middle_m = points_m.mean(axis=0)
-    _, _, (across, along, normal) = np.linalg.svd(points_m - middle_m, full_matrices=False)
+    _, sizes, (across, along, normal) = np.linalg.svd(points_m - middle_m, full_matrices=False)
+    if sizes[1] <= tolerance_m / 2 * np.sqrt(len(points_m)):
+        return None
     if (centre_m - middle_m) @ normal < 0:
         normal = -normal
     flat = (points_m - middle_m) @ np.stack([across, along], axis=1)
