@@ -7,7 +7,6 @@ results would then make other pages elsewhere.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 DASH = "\N{EN DASH}"
@@ -20,7 +19,8 @@ def format_number(value: float | None, digits: int = 3) -> str:
         return DASH
     if value == 0:
         return "0"
-    exponent = math.floor(math.log10(abs(value)))
+    # Of the rounded value: 0.09996 is 0.100.
+    exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
     if not -5 < exponent < 7:
         return f"{value:.{digits - 1}e}"
     return f"{value:,.{max(0, digits - 1 - exponent)}f}"
@@ -53,8 +53,10 @@ def format_share(share: float) -> str:
 
 
 def format_milliseconds(time_ms: float) -> str:
-    """A time that was measured: "4.12 ms", "1.3 s"."""
-    return f"{time_ms / 1000:.2g} s" if time_ms >= 1000 else f"{time_ms:.3g} ms"
+    """A time that was measured: "4.12 ms", "1.3 s", "128 s"."""
+    if time_ms < 999.5:
+        return f"{time_ms:.3g} ms"
+    return f"{time_ms / 1000:.2g} s" if time_ms < 99_500 else f"{time_ms / 1000:,.0f} s"
 
 
 def format_duration(seconds: float) -> str:

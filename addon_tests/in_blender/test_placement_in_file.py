@@ -119,7 +119,7 @@ def test_a_place_from_the_lists_gets_the_cursor(scene):
 
 PLACES = [
     Place(position_m=(0.0, 0.0, 0.1), coverage=0.9, expected_error=0.1, irradiance=(1.0, 2.0, 3.0)),
-    Place(position_m=(1.0, 0.0, 0.1), coverage=0.4, expected_error=0.5, irradiance=(0.1, 0.1, 0.1)),
+    Place(position_m=(1.0, 0.0, 0.1), coverage=0.4, expected_error=0.5, irradiance=(0.1, 99.6, 1234.0)),
     Place(position_m=(1.0, 0.0, 0.9), coverage=0.0, expected_error=None, irradiance=None),
 ]
 
@@ -141,6 +141,7 @@ def test_what_is_known_of_a_place_is_read_off_the_mesh(by_hand):
             place.coverage
         )
     assert format_place(by_hand, 0) == "expected error 0.100, coverage 90%, estimated irradiance 1 2 3"
+    assert format_place(by_hand, 1) == "expected error 0.500, coverage 40%, estimated irradiance 0.1 100 1,234"
     assert format_place(by_hand, 2) == "coverage 0%, light unknown"
 
 

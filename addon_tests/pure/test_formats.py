@@ -31,6 +31,13 @@ def test_numbers_keep_their_value_when_they_become_text():
     assert format_runs([1, 2, 4, 5, 6, 9]) == "1, 2, 4\N{EN DASH}6, 9"
 
 
+@pytest.mark.parametrize("digits", [1, 2, 3, 5])
+def test_a_number_has_as_many_digits_whether_or_not_it_is_rounded_up_to_a_power_of_ten(digits):
+    for exponent in (*range(-9, digits), 9):  # Above, whole numbers keep all of their digits.
+        power = 10.0**exponent
+        assert format_number(power * (1 - 10.0**-digits / 3), digits) == format_number(power, digits)
+
+
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [
@@ -51,7 +58,10 @@ def test_amounts_have_their_units_and_nouns():
     assert [format_bytes(n) for n in (None, 0, 999, 1500, 2_340_000, 5e9)] == [
         "\N{EN DASH}", "0 bytes", "999 bytes", "1.50 kB", "2.34 MB", "5.00 GB",
     ]  # fmt: skip
-    assert (format_milliseconds(4.1234), format_milliseconds(1349)) == ("4.12 ms", "1.3 s")
+    times_ms = (0.05, 4.1234, 999.4, 999.6, 1349, 12_600, 99_700, 128_400, 4e6)
+    assert [format_milliseconds(time_ms) for time_ms in times_ms] == [
+        "0.05 ms", "4.12 ms", "999 ms", "1 s", "1.3 s", "13 s", "100 s", "128 s", "4,000 s",
+    ]  # fmt: skip
     assert (format_share(0.00349), format_share(0.411), format_percent(0.411, 2)) == ("0.35%", "41%", "41 %")
     assert [format_count(n, "frame") for n in (0, 1, 2)] == ["no frames", "1 frame", "2 frames"]
     assert format_list(["a", "b", "c"]) == "a, b and c" and format_list([]) == ""

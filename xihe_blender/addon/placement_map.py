@@ -125,9 +125,9 @@ def format_place(item: bpy.types.Object, index: int) -> str:
     place = shown_place(item, index)
     if place.expected_error is None or place.irradiance is None:
         return f"coverage {place.coverage:.0%}, light unknown"
-    red, green, blue = place.irradiance
-    light = f"estimated irradiance {red:.2g} {green:.2g} {blue:.2g}"
-    return f"expected error {place.expected_error:.3f}, coverage {place.coverage:.0%}, {light}"
+    light = " ".join(f"{one:.2g}" if one < 99.5 else f"{one:,.0f}" for one in place.irradiance)
+    known = f"expected error {place.expected_error:.3f}, coverage {place.coverage:.0%}"
+    return f"{known}, estimated irradiance {light}"
 
 
 class XIHE_PT_placement(StagePanel, bpy.types.Panel):
