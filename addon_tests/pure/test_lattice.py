@@ -67,6 +67,26 @@ def test_a_batch_equals_single_estimates(weights_file, n):
         np.testing.assert_array_equal(estimator.estimate(cloud), single)
 
 
+@pytest.mark.parametrize("n_clouds", [1, 2, 8])
+def test_no_product_of_matrices_wakes_the_threads_of_blas(weights_file, monkeypatch, n_clouds):
+    """OpenBLAS computes up to 2^18 multiplications in one thread, and up to 9216 where one side is a vector."""
+    estimator, clouds, sizes, matmul = (
+        Lattice(1280, weights=weights_file),
+        random_clouds(1280, 0, n_clouds),
+        [],
+        np.matmul,
+    )
+
+    def observed(a, b, **kwargs):
+        (rows, inner), columns = a.shape[-2:], b.shape[-1]
+        sizes.append((rows * inner * columns, 9216 if min(rows, columns) == 1 else 2**18))
+        return matmul(a, b, **kwargs)
+
+    monkeypatch.setattr(np, "matmul", observed)
+    estimator.estimate_batch(*clouds)
+    assert len(sizes) > 20 and all(size <= most for size, most in sizes)
+
+
 @pytest.mark.parametrize("n", SIZES)
 def test_constant_light_stays_constant_whatever_the_weights(tmp_path, n):
     save_weights(tmp_path / "w.npz", random_weights(5))

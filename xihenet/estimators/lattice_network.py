@@ -413,6 +413,8 @@ def _rectified(values: ArrayF32) -> ArrayF32:
 def _product(a: ArrayF32, b: ArrayF32) -> NDArray[Any]:
     """a @ b in blocks of its longer side that BLAS computes without waking its threads."""
     n_rows, n_columns = len(a), b.shape[1]
+    if n_rows == 1:  # BLAS takes one row for a vector, for which threads wake above 9216 multiplications.
+        return _product(a.repeat(2, axis=0), b)[:1]
     step = max(1, _UNTHREADED_PRODUCT // (a.shape[1] * min(n_rows, n_columns)))
     product = np.empty((n_rows, n_columns), np.float32)
     for start in range(0, max(n_rows, n_columns), step):
