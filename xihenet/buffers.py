@@ -29,7 +29,7 @@ from xihenet.sh import facing_weights
 from xihenet.sphere import AnchorLattice
 
 BEHIND_FROM = 1.5
-"""A surface is behind another one from so many times its distance on. Less may be noise: that of a table 5 cm away."""
+"""A surface is behind another one beyond so many times its distance. Less may be noise: that of a table 5 cm away."""
 
 N_BESIDE = 6
 """An anchor and its nearest neighbours, of which all but one have to be nearer to hide a surface that is not far away.
