@@ -13,6 +13,7 @@ from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, inputs_of_world, li
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_lights import LightsAsked
 from xihe_blender.scene.units import seconds_of
+from xihe_blender.scene.working_space import in_rec709
 from xihenet.light.exports import NamedLight, scaled
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight, ObjectLight
@@ -51,7 +52,7 @@ def _key_at(sun: bpy.types.Object, frame: int, exposure: float) -> KeyLight | No
     for curve in (*f_curves(sun), *f_curves(light)):
         if curve.data_path in values:
             values[curve.data_path][curve.array_index] = curve.evaluate(frame)
-    irradiance = np.array(values["color"]) * values["energy"][0] * exposure
+    irradiance = in_rec709(np.array(values["color"]) * values["energy"][0] * exposure)
     if not irradiance.max() > 0:
         return None
     # A sun shines along its -Z.
@@ -73,4 +74,5 @@ def _light_at(world: bpy.types.World, sun: bpy.types.Object | None, frame: int) 
         else:
             gain = curve.evaluate(frame)
     key = None if sun is None else _key_at(sun, frame, 1.0 / gain)
+    rest = in_rec709(rest)
     return ObjectLight(rest + sh_of_key_light(key), key), 1.0 / gain

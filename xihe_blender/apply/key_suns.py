@@ -17,6 +17,7 @@ from mathutils import Vector
 from xihe_blender.apply.datablocks import KEY_LIGHT, PREFIX, shortened
 from xihe_blender.apply.keys import clear_keys, hold_keys, remove_animation
 from xihe_blender.scene.virtual_objects import virtual_objects
+from xihe_blender.scene.working_space import in_working_space
 from xihenet.records import KeyLight
 
 
@@ -45,8 +46,9 @@ def apply_key_to_sun(sun: bpy.types.Object, key: KeyLight | None, exposure: floa
     if key is not None and key.irradiance.max() > 0:
         # A sun shines along its -Z.
         sun.rotation_quaternion = Vector(key.direction).to_track_quat("Z", "Y")
-        light.energy = float(key.irradiance.max()) / exposure
-        light.color = key.irradiance / key.irradiance.max()
+        irradiance = in_working_space(key.irradiance)
+        light.energy = float(irradiance.max()) / exposure
+        light.color = irradiance / irradiance.max()
         light.angle = 2 * key.angular_radius
 
 

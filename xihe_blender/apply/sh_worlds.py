@@ -27,6 +27,7 @@ from xihe_blender.apply.datablocks import (
     trigger_markers,
 )
 from xihe_blender.apply.keys import add_keys, clear_keys, f_curves, hold_keys, remove_animation
+from xihe_blender.scene.working_space import in_working_space
 from xihenet.sh import dering_for_display
 
 GAIN = "Gain"
@@ -99,7 +100,7 @@ def apply_sh_to_world(
     if is_deringed:
         coefficients = dering_for_display(coefficients)
     inputs = inputs_of_world(world)
-    for name, coefficient in zip(COEFFICIENTS, coefficients, strict=True):
+    for name, coefficient in zip(COEFFICIENTS, in_working_space(coefficients), strict=True):
         inputs[name].default_value = coefficient
     inputs[GAIN].default_value = 1.0 / exposure
 
@@ -123,8 +124,8 @@ def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], e
     if not lights:
         return
     frames = list(lights)
-    values = np.stack([np.asarray(light, np.float64) for light in lights.values()])
-    key_sh_on_world(world, frames[0], values[0], exposure)
+    values = in_working_space(np.stack([np.asarray(light, np.float64) for light in lights.values()]))
+    key_sh_on_world(world, frames[0], lights[frames[0]], exposure)
     for index, curve in light_curves(world):
         own = values[:, index, curve.array_index] if index < len(COEFFICIENTS) else np.full(len(frames), 1 / exposure)
         add_keys(curve, frames, own)

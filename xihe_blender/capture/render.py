@@ -25,6 +25,7 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.scene.state import WORKING, users_name
 from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.working_space import in_rec709
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart
 from xihenet.io.exr import read_exr
 from xihenet.records import ArrayF32
@@ -245,6 +246,10 @@ def _whole_picture(scene: bpy.types.Scene, path: Path) -> dict[str, dict[str, Ar
             layers.setdefault(layer, {})[f"{pass_name}.{channel}"] = pixels
     if any("Depth.Z" not in layers.get(layer.name, ()) for layer in scene.view_layers if layer.use):
         raise OSError(f"Blender wrote no whole picture to {path}: free some space in the temporary folder")
+    for passes in layers.values():
+        for name in [key.removesuffix(".R") for key in passes if key.endswith(".R")]:
+            rgb = in_rec709(stacked_rgb(passes, name))
+            passes |= {f"{name}.{channel}": rgb[..., place] for place, channel in enumerate("RGB")}
     metres = metres_per_unit(scene)
     for passes in layers.values() if metres != 1 else ():
         plane_depth = passes["Depth.Z"]

@@ -1,0 +1,136 @@
+"""A file that calculates in Rec.2020 or ACEScg is seen, lit and exported in the colours of Rec.709."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from effect_scenes import mirror
+from renders import captured, rendered
+from tiny_scenes import (
+    box,
+    empty_scene,
+    material,
+    orthographic,
+    phone,
+    room_with_a_virtual_sphere,
+    set_world,
+    sphere,
+)
+
+from addon_tests.pure.made import constant
+from xihe_blender.apply.applied_lights import lights_of_scene
+from xihe_blender.apply.datablocks import world_name
+from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, sun_name
+from xihe_blender.apply.reflection_pictures import reflect_in_world, reflect_on_timeline
+from xihe_blender.apply.sh_worlds import key_light_changes, make_sh_world
+from xihe_blender.io.exr import write_radiance
+from xihe_blender.io.run_lights import LightsAsked
+from xihenet.light.key_light import sh_of_key_light
+from xihenet.records import KeyLight
+
+ORANGE = (0.9, 0.3, 0.02)
+MIRROR = 0.9
+ROOT = Path(__file__).resolve().parents[2]
+since_blender_5 = pytest.mark.skipif(bpy.app.version < (5, 0), reason="a file has no working space of its own")
+
+
+@pytest.fixture(params=["Linear Rec.2020", "ACEScg"])
+def change_working_space(request):
+    """Changes it as File > Set Blend File's Working Color Space does, which keeps the colours that are seen."""
+    yield lambda: bpy.ops.wm.set_working_color_space(working_space=request.param)
+    empty_scene()
+    assert bpy.data.colorspace.working_space == "Linear Rec.709"
+
+
+@since_blender_5
+def test_a_phone_sees_the_same_colours(change_working_space):
+    scene = empty_scene()
+    set_world(scene, ORANGE)
+    phone(scene, (0, 0, 0), (0, 1, 0))
+    before = captured(scene).srgb_u8
+    change_working_space()
+    np.testing.assert_allclose(captured(scene).srgb_u8.astype(int), before, atol=1)
+
+
+@since_blender_5
+def test_light_that_is_applied_renders_in_its_own_colours(change_working_space):
+    scene = empty_scene()
+    change_working_space()
+    orthographic(scene)
+    scene.world = make_sh_world("Xihe Ball")
+    key_light_changes(scene.world, {1: constant(ORANGE), 2: constant(ORANGE[::-1])}, 2.0)
+    for frame, colour in ((1, ORANGE), (2, ORANGE[::-1])):
+        scene.frame_set(frame)
+        np.testing.assert_allclose(rendered(scene, (8, 8), 1)[4, 4], np.divide(colour, 2.0), rtol=1e-3)
+
+
+@since_blender_5
+def test_a_key_light_renders_in_its_own_colours(change_working_space):
+    scene = empty_scene()
+    change_working_space()
+    box(scene, "Floor", (0, 0, -0.5), (4, 4, 1), material("White", (1.0, 1.0, 1.0)))
+    phone(scene, (0, 0, 3), (0, 0.01, 0))
+    sun = make_key_sun("Xihe Key Light Ball")
+    scene.collection.objects.link(sun)
+    apply_key_to_sun(sun, KeyLight(np.array([0.0, 0.0, 1.0]), np.pi * np.array(ORANGE), 0.01, is_seen=True))
+    np.testing.assert_allclose(rendered(scene, (8, 8), 16)[4, 4], ORANGE, rtol=0.02)
+
+
+@since_blender_5
+def test_pictures_that_are_reflected_have_their_own_colours(change_working_space, tmp_path):
+    """One that is packed into the file, and one that is a file on the timeline."""
+    scene = empty_scene()
+    change_working_space()
+    sphere(scene, "Ball", (0, 0, 0), 1.0, mirror())
+    orthographic(scene, 0.1)
+    scene.world = make_sh_world("Xihe Ball")
+    picture = np.broadcast_to(np.float32(ORANGE), (16, 32, 3))
+    reflect_in_world(scene.world, picture, 1.0)
+    np.testing.assert_allclose(rendered(scene, (8, 8), 1)[4, 4], MIRROR * np.array(ORANGE), rtol=1e-3)
+    write_radiance(tmp_path / "0_Ball_0001.exr", picture)
+    reflect_on_timeline(scene.world, {1: tmp_path / "0_Ball_0001.exr"})
+    scene.frame_set(1)
+    np.testing.assert_allclose(rendered(scene, (8, 8), 1)[4, 4], MIRROR * np.array(ORANGE), rtol=1e-3)
+
+
+@since_blender_5
+def test_light_is_read_back_from_a_file_in_rec709(change_working_space):
+    scene = room_with_a_virtual_sphere()
+    change_working_space()
+    light = constant(ORANGE)
+    key_light_changes(make_sh_world(world_name("Ball")), {1: light}, 2.0)
+    key = KeyLight(np.array([0.0, 0.0, 1.0]), np.array([2.0, 1.0, 0.1]), 0.01, is_seen=False)
+    apply_key_to_sun(make_key_sun(sun_name("Ball")), key, 2.0)
+    (found,) = lights_of_scene(scene, LightsAsked())
+    np.testing.assert_allclose(found.light.key.irradiance, key.irradiance, rtol=1e-3)
+    np.testing.assert_allclose(found.light.sh, light + sh_of_key_light(key), atol=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.wheel_only("Blender reads its configuration of colours as it starts")
+def test_a_configuration_may_have_another_space_in_every_blender(tmp_path):
+    shutil.copytree(Path(bpy.utils.system_resource("DATAFILES")) / "colormanagement", tmp_path, dirs_exist_ok=True)
+    config = tmp_path / "config.ocio"
+    config.write_text(config.read_text().replace("scene_linear: Linear Rec.709", "scene_linear: Linear Rec.2020"))
+    code = f"""
+import os, sys
+sys.path[:0] = {str(ROOT)!r}, {str(Path(__file__).parent)!r}
+from test_working_space import ORANGE, constant, empty_scene, key_light_changes, make_sh_world, orthographic, rendered
+scene = empty_scene()
+orthographic(scene)
+scene.world = make_sh_world("Xihe Ball")
+key_light_changes(scene.world, {{1: constant(ORANGE)}}, 1.0)
+rgb, shown = scene.world.node_tree.nodes["Xihe SH Radiance"].inputs[0].default_value, rendered(scene, (8, 8), 1)[4, 4]
+print("here", *shown, rgb[0] / rgb[2], flush=True)
+os._exit(0)
+"""
+    environment = {**os.environ, "OCIO": str(config)}
+    done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment, timeout=100)
+    *shown, ratio = map(float, done.stdout.split("here")[1].split())
+    np.testing.assert_allclose(shown, ORANGE, rtol=1e-3)
+    assert ratio < 15 < ORANGE[0] / ORANGE[2]  # The same colour is less far from grey in Rec.2020's numbers.
