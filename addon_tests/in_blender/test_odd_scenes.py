@@ -9,7 +9,18 @@ import pytest
 from effect_scenes import nodes_of, shader_node
 from previs_runs import DRAFT, SMALL, QuickProbes, run, walk
 from results_schema import without_times
-from tiny_scenes import box, empty_scene, linked, opened, phone, room_with_a_virtual_sphere, saved, set_world, sphere
+from tiny_scenes import (
+    add_lamp,
+    box,
+    empty_scene,
+    linked,
+    opened,
+    phone,
+    room_with_a_virtual_sphere,
+    saved,
+    set_world,
+    sphere,
+)
 
 from xihe_blender.apply.datablocks import LIT_SCENE, lights_by_sh, world_name
 from xihe_blender.apply.session import XiheController
@@ -304,6 +315,22 @@ def test_light_in_a_node_group_is_looked_at_as_that_of_the_material_around_it():
     assert len(said) == 1 and said[0].startswith("The light of node group 'Shine' is negative")
     strength.default_value = float("nan")
     with pytest.raises(UserError, match="node group 'Shine' has nan as its strength"):
+        faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)
+
+
+@pytest.mark.skipif(bpy.app.version < (4, 5), reason="lamps have neither an exposure nor a temperature")
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"exposure": float("nan")}, "nan as its exposure"),
+        ({"energy": 1e25, "exposure": 32.0}, r"4.29497e\+34 as its strength"),
+        ({"use_temperature": True, "temperature": float("nan")}, "nan as its temperature"),
+    ],
+)
+def test_the_exposure_and_the_temperature_of_a_lamp_count_for_its_light(values, said):
+    scene = empty_scene()
+    add_lamp(scene, name="Bulb", **values)
+    with pytest.raises(UserError, match=f"lamp 'Bulb' has {said}"):
         faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)
 
 

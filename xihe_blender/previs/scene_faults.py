@@ -119,7 +119,7 @@ def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[tuple[str, str, float
     for block in blocks:
         if isinstance(block, bpy.types.Light):
             where = f"lamp {block.name!r}"
-            yield from ((where, "Strength", float(value), True) for value in (block.energy, *block.color))
+            yield from ((where, name, value, shines) for name, value, shines in _lamp_constants(block))
         elif isinstance(block, bpy.types.ShaderNodeTree):
             where = f"node group {block.name!r}"
         else:
@@ -127,6 +127,15 @@ def _constants(blocks: Iterable[bpy.types.ID]) -> Iterator[tuple[str, str, float
         for socket in (socket for node in _shader_nodes(block) for socket in node.inputs):
             shines = socket.name in EMISSION_INPUTS.get(socket.node.type, ())
             yield from ((where, socket.name, number, shines) for number in _numbers(socket))
+
+
+def _lamp_constants(lamp: bpy.types.Light) -> Iterator[tuple[str, float, bool]]:
+    """As `_constants`, of the lamp itself. Only from Blender 4.5 on it has an exposure and a temperature."""
+    exposure = getattr(lamp, "exposure", 0.0)
+    yield "Exposure", exposure, False
+    if getattr(lamp, "use_temperature", False):
+        yield "Temperature", lamp.temperature, False
+    yield from (("Strength", value, True) for value in (lamp.energy * 2.0**exposure, *lamp.color))
 
 
 def _numbers(socket: bpy.types.NodeSocket) -> list[float]:
