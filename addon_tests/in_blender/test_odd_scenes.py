@@ -37,7 +37,7 @@ from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.scene_faults import faults_at_frame, unseen_faults
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.blend_file import open_blend, save_copy
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.phone_capture import CAPTURE
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
@@ -264,6 +264,30 @@ def test_a_cache_of_a_linked_object_lies_beside_its_library(tmp_path):
     bpy.context.scene.collection.objects.link(wanted.objects[0])
     read = {path.resolve() for pattern in files_read() for path in matching(pattern)}
     assert kept and read == {*kept, library}
+
+
+def test_a_copy_in_another_folder_reads_the_same_files(tmp_path):
+    flag = box(empty_scene(), "Flag", (0, 0, 0), (1, 1, 0.1))
+    flag.modifiers.new("Cloth", "CLOTH")
+    hair = flag.modifiers.new("Hair", "PARTICLE_SYSTEM").particle_system.point_cache
+    hair.use_external, hair.filepath = True, "//hair"
+    tree = bpy.data.node_groups.new("Moves", "GeometryNodeTree")
+    tree.nodes.new("GeometryNodeImportSTL").inputs["Path"].default_value = "//flag.stl"
+    nodes = flag.modifiers.new("Nodes", "NODES")
+    nodes.show_viewport, nodes.node_group, nodes.bake_directory = False, tree, "//moves"
+    scene = opened(saved(tmp_path / "shot.blend"))
+    cloth = scene.objects["Flag"].modifiers["Cloth"].point_cache
+    cloth.use_disk_cache, cloth.frame_end = True, 2
+    with bpy.context.temp_override(point_cache=cloth):
+        bpy.ops.ptcache.bake(bake=True)
+    (tmp_path / "blendcache_shot" / "another.bphys").touch()
+    copy = tmp_path / "runs" / "walk.blend"
+    save_copy(scene, copy)
+    assert scene.objects["Flag"].modifiers["Nodes"].bake_directory == "//moves"
+    opened(copy)
+    elsewhere = {str(tmp_path / name) for name in ("hair/*.bphys", "moves/**/*", "flag.stl")}
+    assert set(files_read()) == {*elsewhere, str(copy.parent / "blendcache_walk" / "*.bphys")}
+    assert len(list(copy.parent.glob("blendcache_walk/*.bphys"))) == 2
 
 
 def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_path):

@@ -32,7 +32,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import Parameters, as_json, read_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
-from xihenet.io.whole_files import written_whole
+from xihe_blender.scene.blend_file import save_copy
 
 COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")
@@ -207,8 +207,8 @@ class BackgroundRun:
 def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> BackgroundRun:
     """Save what a run of `scene` needs into `folder`; the run is not started yet. OSError if that cannot be written."""
     copy, started = f"{Path(bpy.data.filepath).stem or 'untitled'}.blend", time.time()
-    with written_whole(folder / copy) as beside, _no_file_previews():
-        bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True)
+    with _no_file_previews():
+        save_copy(scene, folder / copy)
     others = tuple(other.name for other in bpy.data.scenes if other != scene)
     request = RunRequest(bpy.data.filepath, copy, scene.name, started, COMMAND, choices, others)
     write_json(RunOutputs(folder).request, as_json(request))

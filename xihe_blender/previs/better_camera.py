@@ -21,9 +21,9 @@ from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.io.look_results import LookAway
+from xihe_blender.scene.blend_file import save_copy
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.io.whole_files import written_whole
 from xihenet.records import ArrayF64
 from xihenet.walk.looks import Look, turned_view
 
@@ -100,8 +100,7 @@ def save_better_path(scene: bpy.types.Scene, away: LookAway, path: Path) -> None
         for marker in switches:  # They would take its place.
             marker.camera = None
         scene.camera = camera
-        with written_whole(path) as beside:
-            bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
+        save_copy(scene, path, compress=True)
     finally:
         scene.camera, scene.frame_end = own, last
         for marker, before in switches.items():

@@ -19,6 +19,7 @@ from typing import Any
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
+from xihe_blender.scene.blend_file import cache_folder, point_caches
 
 LOOKED_AT_IN = (
     bpy.types.Camera, bpy.types.Scene, bpy.types.CompositorNodeTree, bpy.types.Screen, bpy.types.WorkSpace,
@@ -78,9 +79,7 @@ def _nodes() -> Iterator[str]:
 def _caches() -> Iterator[str]:
     """What modifiers and baked simulations keep in files."""
     for item in bpy.data.objects:
-        caches = [system.point_cache for system in item.particle_systems]
         for modifier in map(_AnyModifier, item.modifiers):
-            caches.append(modifier.point_cache)
             fluid = modifier.domain_settings
             folders = [
                 modifier.bake_directory,
@@ -93,10 +92,10 @@ def _caches() -> Iterator[str]:
             elif modifier.filepath and modifier.type != "OCEAN":
                 yield pattern_of(item, modifier.filepath)
             yield from (_below(item, folder) for folder in folders if folder)
-        for cache in filter(None, caches):
+        for cache in point_caches(item):
             library = item.library if cache.use_library_path else None
             file = bpy.path.basename(bpy.data.filepath if library is None else library.filepath)
-            beside = f"//blendcache_{Path(file).stem}" if cache.use_disk_cache and cache.is_baked else ""
+            beside = f"//{cache_folder(Path(file)).name}" if cache.use_disk_cache and cache.is_baked else ""
             folder = bpy.path.abspath(cache.filepath if cache.use_external else beside, library=library)
             if folder:
                 yield str(Path(pattern_of(item, folder), POINTS))

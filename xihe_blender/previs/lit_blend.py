@@ -6,8 +6,6 @@ over the captured frames.
 
 from __future__ import annotations
 
-import contextlib
-import errno
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -26,9 +24,9 @@ from xihe_blender.apply.shadow_catchers import (
     triangles_of,
 )
 from xihe_blender.capture.render import can_denoise
+from xihe_blender.scene.blend_file import save_copy
 from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.io.whole_files import written_whole
 from xihenet.walk.surfaces import Surface
 
 LIFTED_M = 0.003
@@ -86,18 +84,8 @@ def save_lit_blend(
     # The panel shows the run that the file is of: the copied scene may still know an earlier one, or none.
     lit[ROOM], lit[RUN_BESIDE] = scene, "//"
     try:
-        with written_whole(path) as beside:
-            bpy.ops.wm.save_as_mainfile(filepath=str(beside), copy=True, compress=True)
-            _check_is_whole(beside, lit.name)
+        save_copy(lit, path, compress=True)
     finally:
         remove_shadow_catchers(shadow_catchers(lit))
         bpy.data.scenes.remove(lit)
         remove_lit_collections()
-
-
-def _check_is_whole(path: Path, scene_name: str) -> None:
-    """OSError if Blender cannot read back what it saved: it does not say so when the end of a file did not fit."""
-    with contextlib.suppress(OSError), bpy.data.libraries.load(str(path)) as (saved, _):
-        if scene_name in saved.scenes:
-            return
-    raise OSError(errno.ENOSPC, "Blender could save only a part of it", str(path))
