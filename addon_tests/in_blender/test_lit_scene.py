@@ -13,7 +13,7 @@ from previs_runs import DRAFT, N_FRAMES, QuickProbes, run, walk
 from renders import pixels_of_file, rendered_picture
 from scene_snapshot import data_blocks, differences, snapshot
 from shown_lights import keyed, shown_light
-from tiny_scenes import material, opened, room_with_a_virtual_sphere, saved, sphere
+from tiny_scenes import box, material, opened, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.addon.runs_folder import found_folder, last_run
@@ -106,6 +106,32 @@ def add_loose_edge(mesh):
     mesh.edges.add(1)
     mesh.edges[-1].vertices = len(mesh.vertices) - 2, len(mesh.vertices) - 1
     mesh.update()
+
+
+def test_what_falls_hides_objects_where_it_is():
+    scene = room_with_a_virtual_sphere()
+    sheet = box(scene, "Sheet", (0, 0, 9), (1, 1, 0.1))
+    cache = sheet.modifiers.new("Cloth", "CLOTH").point_cache
+    cache.frame_end = 8
+    with bpy.context.temp_override(point_cache=cache):
+        bpy.ops.ptcache.bake(bake=True)
+    sheet.hide_render = True
+    sheet.keyframe_insert("hide_render", frame=1)
+    sheet.hide_render = False
+    sheet.keyframe_insert("hide_render", frame=8)
+    scene.frame_set(1)
+    before = snapshot()
+    lit = bpy.data.scenes.new(LIT_SCENE)
+    lit[ROOM] = scene
+    hide_behind_room(lit, scene, [])
+    met = []
+    for seen in (scene, lit):
+        seen.frame_set(8)
+        met.append(seen.ray_cast(seen.view_layers[0].depsgraph, (0.2, 0.2, 20), (0, 0, -1))[1].z)
+    assert met[0] == pytest.approx(met[1]) and 8 < met[0] < 9
+    remove_lit_scene()
+    scene.frame_set(1)
+    assert differences(before, snapshot()) == ({}, [])
 
 
 @pytest.fixture

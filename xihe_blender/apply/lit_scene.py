@@ -25,7 +25,7 @@ from xihe_blender.apply.datablocks import KEY_LIGHT, LIT_SCENE, ROOM, SHADOW_CAT
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.io.outputs import link_or_copy
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
-from xihe_blender.scene.state import show_to_camera_alone
+from xihe_blender.scene.state import animated_paths, show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
 
@@ -45,6 +45,9 @@ _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "CURVES", "POINTCLOUD")
 _MARKS = (ROOM_COPY, KEY_LIGHT, SHADOW_CATCHER)
 _FROM_EDGES = ("NODES", "SCREW", "SKIN")
 """Modifiers that may make faces of edges that have none."""
+
+_SIMULATIONS = ("CLOTH", "DYNAMIC_PAINT", "FLUID", "SOFT_BODY")
+"""Modifiers whose results are in a cache."""
 
 
 @dataclass(frozen=True)
@@ -127,22 +130,46 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
     """Let what stands in front of `objects` in `room` hide them in `lit`: copies that share data and animation.
 
     Metaballs, volumes, and copies that an object makes of its children, are not among them. Edges without a face are
-    left out of a copy of the data.
+    left out of a copy of the data. Of what is simulated there are instances: a copy has no cache of its own.
     """
     tidied: dict[bpy.types.ID, bpy.types.ID] = {}
     holder, has_catchers = bpy.data.collections.new(f"{LIT_SCENE} Room"), bool(shadow_catchers(lit))
+    simulated = bpy.data.collections.new(f"{LIT_SCENE} Simulated")
     for item in dict.fromkeys(_seen_in(room.view_layers[0].layer_collection)):
         if SCAN in item and has_catchers:  # It is a catcher there, which would catch no shadow behind a copy.
             continue
         if _may_hide(item) and item.visible_camera and not item.is_holdout and item not in objects:
+            if _is_simulated(item):
+                simulated.objects.link(item)
+                continue
             copied = item.copy()
-            copied.name, copied.is_holdout = f"{LIT_SCENE} {item.name}", True
-            copied[ROOM_COPY] = copied.hide_select = True
+            _hold_out(copied, item.name)
             _draw_no_lines(copied, tidied)
             copied.is_shadow_catcher &= SCAN not in item
-            show_to_camera_alone(copied)
             holder.objects.link(copied)
+    if simulated.objects:
+        instances = bpy.data.objects.new(simulated.name, None)
+        instances.instance_type, instances.instance_collection = "COLLECTION", simulated
+        instances.empty_display_size = 0.0
+        simulated[ROOM_COPY] = True
+        _hold_out(instances, "Simulated")
+        holder.objects.link(instances)
+    else:
+        bpy.data.collections.remove(simulated)
     lit.collection.children.link(holder)
+
+
+def _hold_out(item: bpy.types.Object, name: str) -> None:
+    item.name, item.is_holdout = f"{LIT_SCENE} {name}", True
+    item[ROOM_COPY] = item.hide_select = True
+    show_to_camera_alone(item)
+
+
+def _is_simulated(item: bpy.types.Object) -> bool:
+    """Whether where it is, or its shape, may come from a cache of physics or of geometry nodes."""
+    if item.rigid_body is not None or item.particle_systems:
+        return True
+    return any(one.type in _SIMULATIONS or (one.type == "NODES" and len(one.bakes)) for one in item.modifiers)
 
 
 def _may_hide(item: bpy.types.Object) -> bool:
@@ -185,10 +212,12 @@ def _without_loose_edges(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
 
 
 def _seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
-    """All that a view layer renders for its camera, of a collection and those in it."""
+    """All that a view layer renders for its camera, at some frame at least, of a collection and those in it."""
     if layer.exclude or layer.collection.hide_render or layer.holdout or layer.indirect_only:
         return
-    yield from (item for item in layer.collection.objects if not item.hide_render)
+    for item in layer.collection.objects:
+        if not item.hide_render or "hide_render" in animated_paths(item):
+            yield item
     for child in layer.children:
         yield from _seen_in(child)
 
@@ -318,7 +347,8 @@ def remove_lit_scene() -> None:
     remove_shadow_catchers(shadow_catchers(lit))
     own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None)}
     copies = [item for item in lit.objects if ROOM_COPY in item]
-    own |= {block for item in copies for block in (item, item.data) if block is not None and ROOM_COPY in block}
+    parts = [block for item in copies for block in (item, item.data, item.instance_collection)]
+    own |= {block for block in parts if block is not None and ROOM_COPY in block}
     for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
         own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
         actions = [owner.animation_data.action for owner in (camera, camera.data) if owner.animation_data is not None]

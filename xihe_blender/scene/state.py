@@ -63,7 +63,7 @@ def animated_values() -> dict[tuple[bpy.types.ID, str], Any]:
     values = {}
     for block in bpy.data.user_map():
         for owner in (block, getattr(block, "node_tree", None)):
-            for path in _animated_paths(owner) if owner is not None else ():
+            for path in animated_paths(owner) if owner is not None else ():
                 # A path that leads nowhere belongs to something that was renamed or deleted.
                 with contextlib.suppress(KeyError, ValueError):
                     values[owner, path] = _value(owner, path)
@@ -78,7 +78,8 @@ def put_back(values: dict[tuple[bpy.types.ID, str], Any]) -> None:
                 _set_value(owner, path, value)
 
 
-def _animated_paths(owner: bpy.types.ID) -> set[str]:
+def animated_paths(owner: bpy.types.ID) -> set[str]:
+    """Of the properties of `owner` that an F-curve, an NLA strip or a driver moves."""
     animation = getattr(owner, "animation_data", None)
     if animation is None:
         return set()
