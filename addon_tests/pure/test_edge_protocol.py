@@ -115,7 +115,7 @@ def test_the_clean_form_says_what_the_published_one_cannot():
     [
         ({}, "Xihe-Exposure"),
         ({"Xihe-Exposure": "0"}, "Xihe-Exposure"),
-        ({"Xihe-Exposure": "nan"}, "Xihe-Exposure"),
+        ({"Xihe-Exposure": "nan"}, "Xihe-Exposure: expected a finite number, got"),
         ({"Xihe-Exposure": "1", "Xihe-Position": "1,2"}, "Xihe-Position: expected 3"),
         ({"Xihe-Exposure": "1", "Xihe-Ambient": "1,2,-3"}, "Xihe-Ambient"),
         ({"Xihe-Exposure": "1", "Xihe-Axes": "x-up"}, "unity, y-up, z-up"),

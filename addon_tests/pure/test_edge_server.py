@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -187,6 +188,46 @@ def test_clients_and_positions_share_a_session(server):
     assert status == 403 and "owner" in refused["error"]
     assert server.ask("DELETE", f"/api/v3/sessions/{session}", Xihe_Token=token)[0] == 200
     assert server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)[0] == 404
+
+
+def test_a_session_takes_sixteen_positions_and_waiting_does_not_help(server):
+    session, token = server.opened(n_anchors=N)
+    lights = [server.light(session, token, b"", position=f"place_{number}") for number in range(17)]
+    assert [status for status, _ in lights] == 16 * [200] + [409]
+    assert lights[-1][1]["error"] == ("a session has 16 positions at most: have it forget one, or open another session")
+    assert server.ask("DELETE", f"/api/v3/sessions/{session}/positions/place_3", Xihe_Token=token)[0] == 200
+    assert server.light(session, token, b"", position="one_more")[0] == 200
+
+
+def test_a_compressed_body_is_refused_and_not_read_as_a_cloud(server):
+    session, token = server.opened(n_anchors=N)
+    for encoding, status in (("gzip", 415), ("br", 415), ("identity", 200)):
+        answered, answer = server.light(session, token, b"", Content_Encoding=encoding)
+        assert answered == status and (
+            status == 200 or f"leave out Content-Encoding, got '{encoding}'" in answer["error"]
+        )
+
+
+def test_openapi_names_all_that_answers_hold(server):
+    opened, token = server.opened(n_anchors=N)
+    wanted = {
+        "Xihe_Token": token,
+        "Xihe_Exposure": "1",
+        "Content_Type": "application/vnd.xihe.cloud; method=float32_stripped",
+    }
+    place, cloud = "/api/v3/sessions/{session}/positions/{position}", encode_cloud(cloud_of(3, 0.5), "float32_stripped")
+    asked = {
+        "/api/v3/sessions": ("", b"", {}),
+        "/api/v3/sessions/{session}/clients": ("", b"", {}),
+        place: ("?key_light=yes&reflections=yes", cloud, wanted),
+        "/api/v2/session/": ("", b"", {"Anchor_Size": str(N)}),
+    }
+    _, document, _ = server.ask("GET", "/openapi.json")
+    for path, (query, body, headers) in asked.items():
+        status, answer, _ = server.ask("POST", path.format(session=opened, position="a") + query, body, **headers)
+        told = document["paths"][path]["post"]["responses"][str(status)]["content"]["application/json"]["schema"]
+        assert told["properties"].keys() == answer.keys() and set(told["required"]) <= answer.keys(), path
+        jsonschema.validate(answer, told)
 
 
 def test_clouds_of_another_exposure_are_brought_to_that_of_the_position(server):

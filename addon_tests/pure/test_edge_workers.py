@@ -105,7 +105,11 @@ def test_a_store_that_is_killed_is_said_and_sessions_go_on_once_it_is_back(two, 
     try:
         for server in two:
             status, answer, headers = server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)
-            assert status == 503 and "does not answer" in answer["error"] and headers["Retry-After"] == "1"
+            assert (
+                status == 503
+                and "Redis, which keeps the sessions, does not answer" in answer["error"]
+                and headers["Retry-After"] == "1"
+            )
             assert server.ask("POST", "/api/v3/sessions")[0] == server.light(session, token, payloads[1])[0] == 503
             status, health, headers = server.ask("GET", "/health")
             assert status == 503 and headers["Retry-After"] == "1"

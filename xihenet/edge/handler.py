@@ -130,6 +130,9 @@ class Handler:
                 raise Refused(401, "this service needs its bearer token: send it as Authorization: Bearer TOKEN")
         if request.is_too_long:
             raise Refused(413, f"expected a body of at most {MAX_BODY_BYTES} bytes, got {request.n_bytes}")
+        encoding = request.headers.get("Content-Encoding", "")
+        if encoding and encoding.lower() != "identity":
+            raise Refused(415, f"bodies are read as they come: leave out Content-Encoding, got {encoding[:80]!r}")
 
     def _method(self) -> Callable[..., Awaitable[None] | None]:
         name = METHODS.get(self.request.method, "")

@@ -22,6 +22,7 @@ _COEFFICIENTS = {
     "maxItems": 27,
     "description": "Radiance coefficients of order 2, nine of red, then green, then blue, in the client's axes.",
 }
+_TEXT, _COUNT, _TARGET = {"type": "string"}, {"type": "integer"}, {"enum": ["ldr", "hdr"]}
 _SESSION = {"name": "session", "in": "path", "required": True, "schema": _UUID}
 _POSITION = {
     "name": "position",
@@ -31,7 +32,10 @@ _POSITION = {
 }
 _ESTIMATE = {
     "type": "object",
-    "required": ["ok", "coefficients", "exposure", "expected_error", "coverage", "is_valid", "unknown_because"],
+    "required": [
+        *("ok", "coefficients", "exposure", "expected_error", "coverage", "is_valid", "unknown_because"),
+        *("estimator", "target", "axes", "n_shared_anchors"),
+    ],
     "properties": {
         "ok": {"const": True},
         "coefficients": _COEFFICIENTS,
@@ -39,11 +43,31 @@ _ESTIMATE = {
         "expected_error": {"type": ["number", "null"], "description": "SHC RMSE that the estimator expects."},
         "coverage": {"type": "number", "minimum": 0, "maximum": 1},
         "is_valid": {"type": "boolean"},
-        "unknown_because": {"type": "string"},
+        "unknown_because": _TEXT,
+        "estimator": _TEXT,
+        "target": _TARGET,
+        "axes": {"enum": list(AXES)},
+        "n_shared_anchors": _COUNT,
         "key_light": {"type": ["object", "null"]},
         "reflections": {"type": "object"},
     },
 }
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    """An answer with all of these, by name, as JSON Schema describes them."""
+    return {"type": "object", "required": ["ok", *properties], "properties": {"ok": {"const": True}, **properties}}
+
+
+_JOINED = _object(token=_TEXT, n_anchors=_COUNT, target=_TARGET)
+_OPENED = _object(
+    session=_UUID,
+    token=_TEXT,
+    n_anchors=_COUNT,
+    target=_TARGET,
+    estimator=_TEXT,
+    farthest_m={"type": ["number", "null"], "description": "What lies beyond is taken to lie there."},
+)
 
 
 def openapi_document(sizes: tuple[int, ...], *, has_bearer: bool = False) -> dict[str, Any]:
@@ -60,14 +84,14 @@ def openapi_document(sizes: tuple[int, ...], *, has_bearer: bool = False) -> dic
                 "delete": _of_token("Forget a session; needs its owner's token", [_SESSION]),
             },
             protocol.SESSIONS + "/{session}/clients": {
-                "post": _operation("Join a session by its id", [_SESSION], 201, _object("token"), (403, 404, 409))
+                "post": _operation("Join a session by its id", [_SESSION], 201, _JOINED, (403, 404, 409, 415))
             },
             protocol.SESSIONS + "/{session}/positions/{position}": {
                 "post": _estimate(),
                 "delete": _of_token("Forget a position", [_SESSION, _POSITION]),
             },
             "/health": {
-                "get": _operation("That the service is there, with its store", [], 200, _object("estimator"), ())
+                "get": _operation("That the service is there, with its store", [], 200, _object(estimator=_TEXT), ())
             },
         },
     }
@@ -80,13 +104,15 @@ def openapi_document(sizes: tuple[int, ...], *, has_bearer: bool = False) -> dic
 
 def _published_session(sizes: tuple[int, ...]) -> dict[str, Any]:
     size = _header("Anchor-Size", {"type": "integer", "enum": list(sizes)}, "Number of anchors.", required=True)
-    return _operation("Open a session, as the published client does", [size, _axes("unity")], 200, _object("sid"))
+    return _operation("Open a session, as the published client does", [size, _axes("unity")], 200, _object(sid=_UUID))
 
 
 def _published_estimation() -> dict[str, Any]:
     session = _header("Session-ID", _UUID, "As opening gave it.", required=True)
     answer = {"type": "object", "required": ["ok", "coefficients"], "properties": {"coefficients": _COEFFICIENTS}}
-    operation = _operation("Light, of the published records", [session, _axes("unity")], 200, answer, (400, 404, 413))
+    operation = _operation(
+        "Light, of the published records", [session, _axes("unity")], 200, answer, (400, 404, 413, 415)
+    )
     return operation | {"requestBody": _binary("application/octet-stream", "Records of seven bytes.")}
 
 
@@ -95,7 +121,7 @@ def _open(sizes: tuple[int, ...]) -> dict[str, Any]:
         "type": "object",
         "properties": {
             "n_anchors": {"type": "integer", "enum": list(sizes)},
-            "target": {"enum": ["ldr", "hdr"]},
+            "target": _TARGET,
             "joinable": {"type": "boolean"},
         },
         "additionalProperties": False,
@@ -103,7 +129,7 @@ def _open(sizes: tuple[int, ...]) -> dict[str, Any]:
     own = _header(
         protocol.TOKEN_HEADER, {"type": "string", "minLength": 16, "maxLength": 128}, "A token to own it by, or none."
     )
-    operation = _operation("Open a session", [own], 201, _object("session"), (400, 413))
+    operation = _operation("Open a session", [own], 201, _OPENED, (400, 413, 415))
     return operation | {"requestBody": {"content": {"application/json": {"schema": wanted}}}}
 
 
@@ -128,7 +154,7 @@ def _estimate() -> dict[str, Any]:
         _header(protocol.AMBIENT_HEADER, numbers, "Radiance of the light sensor, carrying the exposure."),
         _axes("z-up"),
     ]
-    refused = (400, 401, 403, 404, 413, 415)
+    refused = (400, 401, 403, 404, 409, 413, 415)
     operation = _operation("The light at a position, of a cloud", parameters, 200, _ESTIMATE, refused)
     words = f"A payload of xihenet.codec, in the method that the content type names: {', '.join(METHODS)}."
     return operation | {"requestBody": _binary(protocol.CLOUD_TYPE, words)}
@@ -151,10 +177,6 @@ def _operation(
         content = {"application/json": {"schema": _FAILURE}}
         responses[str(one)] = {"description": "Refused, and why.", "content": content}
     return {"summary": summary, "parameters": parameters, "responses": responses}
-
-
-def _object(*required: str) -> dict[str, Any]:
-    return {"type": "object", "required": ["ok", *required], "properties": {"ok": {"const": True}}}
 
 
 def _binary(content_type: str, words: str) -> dict[str, Any]:

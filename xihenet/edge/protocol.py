@@ -150,7 +150,8 @@ def _numbers(headers: Mapping[str, str], name: str, n: int) -> tuple[float, ...]
     except ValueError:
         numbers = ()
     if len(numbers) != n or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{name}: expected {n} finite numbers with commas between them, got {text[:80]!r}")
+        expected = "a finite number" if n == 1 else f"{n} finite numbers with commas between them"
+        raise ValueError(f"{name}: expected {expected}, got {text[:80]!r}")
     return numbers
 
 

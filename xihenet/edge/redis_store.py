@@ -27,7 +27,16 @@ from typing import Any, TypeVar
 
 import redis
 
-from xihenet.edge.sessions import SeenPosition, Session, SessionGone, StoreFull, StoreLimits, StoreLost, hash_of
+from xihenet.edge.sessions import (
+    SeenPosition,
+    Session,
+    SessionFull,
+    SessionGone,
+    StoreFull,
+    StoreLimits,
+    StoreLost,
+    hash_of,
+)
 from xihenet.edge.stored import mark_bytes, position_from_bytes, position_to_bytes, session_from_bytes, session_to_bytes
 
 MOST_REMEMBERED = 512
@@ -35,8 +44,8 @@ MOST_REMEMBERED = 512
 
 TIMEOUT_S = 0.25
 PAUSE_S = 1.0
-LOST = "the store of sessions does not answer"
-REFUSES = "the store of sessions refuses what it is asked"
+LOST = "Redis, which keeps the sessions, does not answer"
+REFUSES = "Redis, which keeps the sessions, refuses what it is asked"
 
 Read = TypeVar("Read")
 Key = TypeVar("Key")
@@ -236,7 +245,7 @@ class RedisStore:
             _remember(self._sessions, session_id, None)
             raise SessionGone
         if said == b"session is full":
-            raise StoreFull(f"a session has {self.limits.n_positions_of_session} positions at most")
+            raise SessionFull(f"a session has {self.limits.n_positions_of_session} positions at most")
         if said == b"full":
             raise StoreFull(f"{self.limits.n_positions} positions are known")
         return bool(said != b"overtaken")

@@ -29,6 +29,7 @@ from xihenet.edge.sessions import (
     MemoryStore,
     SeenPosition,
     Session,
+    SessionFull,
     SessionGone,
     SessionStore,
     StoreFull,
@@ -255,6 +256,8 @@ class EdgeService:
             yield
         except SessionGone:
             raise Refused(404, GONE) from None
+        except SessionFull as full:
+            raise Refused(409, f"{full}: have it forget one, or open another session") from None
         except StoreFull as full:
             self._refuse_full("store", str(full))
 

@@ -14,7 +14,7 @@ from xihenet.edge.axes import OUR_AXES, PUBLISHED_AXES, checked_axes
 from xihenet.edge.extras import Wishes
 from xihenet.edge.handler import Handler, as_sent, begin_of
 from xihenet.edge.service import EdgeService, Refused
-from xihenet.edge.sessions import Session, StoreFull, joined, new_session, new_token
+from xihenet.edge.sessions import Session, SessionFull, joined, new_session, new_token
 
 MAX_NAME = 64
 SWITCHES = {"": False, "no": False, "yes": True}
@@ -141,7 +141,7 @@ class ClientsRoute(Handler):
             raise Refused(403, "the owner of this session lets nobody join")
         try:
             with_client = joined(session, token, self.service.settings.limits)
-        except StoreFull as full:
+        except SessionFull as full:
             raise Refused(409, str(full)) from None
         with self.service.kept():
             if not self.service.store.replace(with_client, session):

@@ -40,6 +40,10 @@ class StoreFull(Exception):
     """There is no room; the message says for what."""
 
 
+class SessionFull(StoreFull):
+    """There is no room in this session, however long one waits."""
+
+
 class SessionGone(Exception):
     """There is no such session, or it has expired."""
 
@@ -231,7 +235,7 @@ class MemoryStore:
             return False
         if name not in kept.positions:
             if len(kept.positions) >= self.limits.n_positions_of_session:
-                raise StoreFull(f"a session has {self.limits.n_positions_of_session} positions at most")
+                raise SessionFull(f"a session has {self.limits.n_positions_of_session} positions at most")
             if self._n_positions >= self.limits.n_positions:
                 self._make_room(f"{self.limits.n_positions} positions are known", but=session_id)
             self._n_positions += 1
@@ -285,7 +289,7 @@ def _mark_of(seen: SeenPosition | None) -> int | None:
 
 
 def joined(session: Session, token: str, limits: StoreLimits) -> Session:
-    """The session with one client more; `StoreFull` where there are too many."""
+    """The session with one client more; `SessionFull` where there are too many."""
     if len(session.clients) >= limits.n_clients_of_session:
-        raise StoreFull(f"a session has {limits.n_clients_of_session} clients beside its owner at most")
+        raise SessionFull(f"a session has {limits.n_clients_of_session} clients beside its owner at most")
     return replace(session, clients=session.clients | {hash_of(token)})
