@@ -37,7 +37,8 @@ class PairedDifference:
     high: float | None
     n_pairs: int
     n_groups: int  # one says nothing of others
-    share_lower: float  # of the pairs in which the first is lower
+    share_lower: float  # of the pairs in which the first is lower; those in which both are equal are in neither share
+    share_higher: float
 
     @property
     def is_clear(self) -> bool:
@@ -73,7 +74,8 @@ def paired_difference(
     names = {group: place for place, group in enumerate(dict.fromkeys(groups))}
     drawn = [names[group] for group in groups] if len(names) > 1 else list(range(len(a)))
     low, high = _interval(difference, np.array(drawn), rng)
-    return PairedDifference(float(difference.mean()), low, high, len(a), len(names), float(np.mean(difference < 0)))
+    lower, higher = float(np.mean(difference < 0)), float(np.mean(difference > 0))
+    return PairedDifference(float(difference.mean()), low, high, len(a), len(names), lower, higher)
 
 
 def _interval(difference: ArrayF64, groups: ArrayInt, rng: np.random.Generator) -> tuple[float | None, float | None]:

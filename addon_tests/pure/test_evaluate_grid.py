@@ -63,6 +63,9 @@ def test_the_same_scene_twice_is_one_unit_and_another_of_its_name_is_not(tmp_pat
     files = [tmp_path / "a" / "room.blend", tmp_path / "b" / "room.blend"]
     units, _ = planned_units([*files, files[0]], (0,))
     assert len({unit.name for unit in units}) == len(units) == 2
+    files[1].write_bytes(files[0].read_bytes())
+    copies, _ = planned_units(files, (0,))
+    assert [unit.scene for unit in copies] == files  # What they read beside them may differ.
 
 
 def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
@@ -159,6 +162,20 @@ def test_scenes_of_one_name_are_told_apart_by_their_folders(tmp_path):
     found = batch_results(folder, SETTINGS, units, {})
     names = ["a/day/room", "b/day/room", "night/room", "hall"]
     assert [(unit.scene, unit.seed) for unit in found.units] == [(name, seed) for name in names for seed in (0, 1)]
+
+
+def test_phones_of_the_users_own_go_by_their_files(tmp_path):
+    (tmp_path / "hall.blend").write_text("hall")
+    units, _ = planned_units([tmp_path / "hall.blend"], (0,))
+    phones = ("perfect", "/study/cheap.toml", "/study/perfect.toml")
+    folder, made = BatchFolder(tmp_path / "out"), results([trial(phone=phone) for phone in phones])
+    of_unit = UnitResult(
+        trials=tuple(TrialFigures(**{f.name: getattr(t, f.name) for f in fields(TrialFigures)}) for t in made.trials),
+        step_ms=(), render_s=0, cost=UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1),
+    )  # fmt: skip
+    write_json(result_file(folder.of_unit(units[0])), as_json(of_unit))
+    found = batch_results(folder, replace(SETTINGS, phones=phones), units, {})
+    assert [one.phone for one in found.trials] == ["perfect", "cheap", "study/perfect"]
 
 
 def test_tables_hold_a_row_per_trial_and_leave_empty_what_is_not_known(tmp_path):

@@ -26,6 +26,11 @@ def test_exchanging_the_two_mirrors_the_answer():
     assert (back.low, back.high) == (pytest.approx(-there.high), pytest.approx(-there.low))
 
 
+def test_equal_values_are_lower_on_neither_side():
+    found = paired_difference([1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 4.0, 3.0], "abcd", generator())
+    assert found.share_lower == found.share_higher == 0.25
+
+
 def test_a_shift_of_a_whole_pair_changes_nothing():
     a, b = generator(3).normal(size=(2, 8))
     shift, groups = 100 * generator(4).normal(size=8), list(range(8))

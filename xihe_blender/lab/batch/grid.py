@@ -9,6 +9,7 @@ which would wait for others' renders.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +65,7 @@ class BatchSettings:
 
 @dataclass(frozen=True)
 class Unit:
-    """One .blend, whose content has this digest, with one seed."""
+    """One .blend, whose content and folder have this digest, with one seed."""
 
     scene: Path
     seed: int
@@ -82,7 +83,9 @@ def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Un
     broken: dict[str, str] = {}
     for scene in scenes:
         try:
-            digest = hashlib.sha256(scene.read_bytes()).hexdigest()
+            # With its folder: a copy beside other pictures may show another room.
+            content = hashlib.sha256(scene.read_bytes()).digest()
+            digest = hashlib.sha256(content + os.fsencode(scene.resolve().parent)).hexdigest()
         except OSError as error:
             broken[str(scene)] = error.strerror or str(error)
             continue

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from xihe_blender.lab.batch import answers, drawings
-from xihe_blender.lab.batch.answers import MEASURES, Measure
+from xihe_blender.lab.batch.answers import MEASURES, Measure, format_interval
 from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, BatchResults, Trial, UnitRow, worst_picture
 from xihe_blender.lab.frontier.answers import HOW_MANY_ANCHORS, LAST_TENTH
 from xihe_blender.lab.frontier.points import family, group
@@ -94,11 +94,10 @@ def _against_the_best(trials: Sequence[Trial], measure: Measure) -> str:
 
 
 def _intervals(found: Sequence[answers.Comparison], names: Sequence[str]) -> list[drawings.Interval]:
-    """A row for each, coloured by the place of the first in `names`; a phone's own file goes by its stem."""
-    titles = (f"{Path(one.first).stem} {MINUS} {Path(one.second).stem}" for one in found)
+    """A row for each, coloured by the place of the first in `names`."""
     return [
-        (title, names.index(one.first), one.difference, answers.format_interval(one.difference))
-        for title, one in zip(titles, found, strict=True)
+        (f"{one.first} {MINUS} {one.second}", names.index(one.first), one.difference, format_interval(one.difference))
+        for one in found
     ]
 
 
@@ -107,10 +106,10 @@ def _pairs_table(trials: Sequence[Trial]) -> str:
     for measure in MEASURES:
         for one in answers.against_the_best(trials, measure):
             d = one.difference
-            better = d.share_lower if measure.is_better_low else 1 - d.share_lower
+            better = d.share_lower if measure.is_better_low else d.share_higher
             first_is_better = f"{round(better * d.n_pairs)} of {d.n_pairs}"
             pair = f"{code(one.first)} against {code(one.second)}"
-            rows.append((pair, escape(measure.title), answers.format_interval(d), first_is_better))
+            rows.append((pair, escape(measure.title), format_interval(d), first_is_better))
     return table(("pair", "measure", "mean difference", "first is better"), rows, "words stacking")
 
 
@@ -122,7 +121,8 @@ def _phones(trials: Sequence[Trial]) -> str:
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
     means = [(code(name), *(_mean_error(trials, estimator=name, phone=phone) for phone in phones)) for name in names]
     head = ("mean coefficient error", *map(escape, phones))
-    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + (table(head, means) if rows else "")
+    by_phone = table(head, means, "stacking") if rows else ""
+    return _answered(answers.is_a_better_phone_worth_it(trials), plot) + by_phone
 
 
 def _mean_error(trials: Sequence[Trial], **which: str) -> str:
@@ -134,7 +134,7 @@ def _how_often(trials: Sequence[Trial]) -> str:
     for index, name in enumerate(answers.names_of(trials, "estimator")):
         dots = []
         for p in answers.trigger_points(trials, name):
-            error, more = format_number(p.error), "" if p.more is None else answers.format_interval(p.more)
+            error, more = format_number(p.error), "" if p.more is None else format_interval(p.more)
             words = f"{name}, theta {p.theta:g}: {p.per_minute:.0f} a minute, error {error}"
             dots.append((p.per_minute, p.error, words))
             rows.append([code(name), f"{p.theta:g}", format_number(p.per_minute), error, more])
@@ -148,7 +148,7 @@ def _how_often(trials: Sequence[Trial]) -> str:
         x_name="estimates a minute, per position in view", y_name="SHC RMSE",
     )  # fmt: skip
     header = ("estimator", "theta", "a minute", "mean error", "more than with every frame")
-    return _answered(answers.how_often(trials), plot) + (table(header, rows) if rows else "")
+    return _answered(answers.how_often(trials), plot) + (table(header, rows, "stacking") if rows else "")
 
 
 # ------------------------------------------------------------------------------------------ of a frontier

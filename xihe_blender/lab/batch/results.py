@@ -15,7 +15,7 @@ docs/batch.schema.json is made from the records (`python -m xihe_blender.lab.bat
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from importlib import metadata
 from pathlib import Path
@@ -73,7 +73,7 @@ class TriggerFigures:
 class TrialFigures:
     """What came of one phone and one estimator in a unit."""
 
-    phone: Annotated[str, "its name"]
+    phone: Annotated[str, "its name, in a unit's result that of its file where it has one"]
     estimator: Annotated[str, "its name"]
     n_frames: Annotated[int, "of the path"]
     n_active_frames: Annotated[int, "of the path"]
@@ -117,7 +117,10 @@ class UnitResult:
     """All of a unit's result.json."""
 
     trials: Annotated[tuple[TrialFigures, ...], "of all phones and estimators, in the order of the batch"]
-    step_ms: Annotated[tuple[float | None, ...], "the chain's mean time by trial; None where nothing was in view"]
+    step_ms: Annotated[
+        tuple[float | None, ...],
+        "mean time of the chain for a position in a frame, by trial, or None",
+    ]
     render_s: Annotated[float, "of everything"]
     cost: Annotated[UnitCost, "see there"]
     read: Annotated[FilesRead, "see there"] = FilesRead()
@@ -144,7 +147,7 @@ class UnitRow(UnitCost, UnitName):
     """A unit that is done."""
 
     render_s: Annotated[float, "of everything"]
-    step_ms: Annotated[tuple[float | None, ...], "the chain's mean time by trial"]
+    step_ms: Annotated[tuple[float | None, ...], "mean time of the chain for a position in a frame, by trial, or None"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,12 +282,15 @@ def batch_results(
 ) -> BatchResults:
     """Everything that is done, in the order in which it was asked for."""
     trials, rows = list[Trial](), list[UnitRow]()
-    names = _scene_names({unit.scene for unit in units})
+    names = _short_names({unit.scene for unit in units})
+    phones = _short_names({Path(phone) for phone in settings.phones})
     for unit in units:
         result = folder.result(unit)
         if result is not None:
             name = vars(UnitName(unit=unit.name, scene=names[unit.scene], seed=unit.seed))
-            trials += [Trial(number=number, **name, **vars(one)) for number, one in enumerate(result.trials)]
+            for number, one in enumerate(result.trials):
+                phone = phones.get(Path(one.phone), one.phone)
+                trials.append(Trial(number=number, **name, **(vars(one) | {"phone": phone})))
             rows.append(UnitRow(render_s=result.render_s, step_ms=result.step_ms, **name, **vars(result.cost)))
     return BatchResults(
         software={"xihe": __version__},
@@ -295,15 +301,15 @@ def batch_results(
     )
 
 
-def _scene_names(scenes: set[Path]) -> dict[Path, str]:
-    """The stem of each .blend, after as many of its folders as tell it from another with the same stem."""
-    paths = {scene: scene.with_suffix("").parts for scene in scenes}
+def _short_names(files: Iterable[Path]) -> dict[Path, str]:
+    """The stem of each file, after as many of its folders as tell it from another with the same stem."""
+    paths = {file: file.with_suffix("").parts for file in files}
     names = {}
-    for scene, parts in paths.items():
-        others = [other for path, other in paths.items() if path != scene]
+    for file, parts in paths.items():
+        others = [other for path, other in paths.items() if path != file]
         n_parts = (n for n in range(1, len(parts)) if all(other[-n:] != parts[-n:] for other in others))
         n = next(n_parts, None)
-        names[scene] = str(scene) if n is None else "/".join(parts[-n:])
+        names[file] = str(file) if n is None else "/".join(parts[-n:])
     return names
 
 
