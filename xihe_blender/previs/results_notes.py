@@ -12,7 +12,7 @@ from xihe_blender.apply.reflection_pictures import is_shiny
 from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult, RecordingResult
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
-from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean, too_small_to_judge
 from xihe_blender.scene.units import metres_per_unit
@@ -102,6 +102,12 @@ def light_notes(settings: PrevisSettings, objects: Sequence[bpy.types.Object]) -
         yield f"Shiny virtual objects: {shiny}. With {WITH_REFLECTIONS} they show the room that the phone saw."
     else:
         yield "No virtual object is shiny, so that none calls for reflections."
+    taken, enough = (preset.comparison_samples for preset in (settings.preset_values, PRESETS["accurate"]))
+    if shiny and taken < enough:
+        yield (
+            f"In a ground truth of {taken} samples, lamps that shiny objects mirror are noise, and the denoiser takes "
+            f"some away: errors of pictures are off by that. The preset accurate takes {enough}."
+        )
 
 
 def shadow_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
