@@ -77,15 +77,10 @@ def record_session(
     UserError for a scene without a camera, for a folder that holds something else, where the true light is asked for
     and there is no place to measure it, and without a package that the layout takes.
     """
-    settings = replace(settings, captured="path", light="sh")
-    if virtual_objects(scene):
-        plan = plan_previs(scene, settings)
-    else:
-        settings, plan = path_plan(scene, settings)
+    settings, plan = _planned(scene, settings)
     places = truth_places(plan, wishes) if wishes.has_truth else ()
     outputs = RunOutputs(out, blend_file.stem)
-    decides = made_of(WORK, scene, blend_file, settings, plan) | {"layout": wishes.layout}
-    manifest = FolderManifest(out, outputs.settings, WORK, decides, (out / SESSION_FILE,))
+    manifest = _manifest(scene, outputs, settings, plan, wishes.layout, blend_file)
     manifest.check()
     survey = survey_run(scene, plan, outputs)
     manifest.take()
@@ -101,6 +96,23 @@ def record_session(
         # Last: it says that the recording is whole.
         write_session(out, replace(kept_facts(run), files=()))
     return said
+
+
+def check_recording(scene: bpy.types.Scene, out: Path, settings: PrevisSettings, *, blend_file: Path) -> None:
+    """UserError where `out` holds anything but such a recording in our own form, or one of files that have changed."""
+    _manifest(scene, RunOutputs(out, blend_file.stem), *_planned(scene, settings), OURS, blend_file).check()
+
+
+def _planned(scene: bpy.types.Scene, settings: PrevisSettings) -> tuple[PrevisSettings, PrevisPlan]:
+    settings = replace(settings, captured="path", light="sh")
+    return (settings, plan_previs(scene, settings)) if virtual_objects(scene) else path_plan(scene, settings)
+
+
+def _manifest(
+    scene: bpy.types.Scene, outputs: RunOutputs, settings: PrevisSettings, plan: PrevisPlan, layout: str, file: Path
+) -> FolderManifest:
+    decides = made_of(WORK, scene, file, settings, plan) | {"layout": layout}
+    return FolderManifest(outputs.folder, outputs.settings, WORK, decides, (outputs.folder / SESSION_FILE,))
 
 
 def _frames(run: PreparedRun) -> Iterator[RgbdFrame]:

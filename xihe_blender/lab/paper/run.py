@@ -32,7 +32,7 @@ from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.paper import studies
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, StudyResult
 from xihe_blender.lab.paper.report import paper_markdown, report_page
-from xihe_blender.lab.paper.sessions import QUICK_WALK, WalkSettings, planned_walk, recorded_session, scene_files
+from xihe_blender.lab.paper.sessions import QUICK_WALK, WalkSettings, check_session, recorded_session, scene_files
 from xihe_blender.report.document import write_document
 from xihenet import __version__
 
@@ -114,7 +114,7 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list
     outputs = PaperOutputs(out)
     needs_rooms = any(study.needs_rooms for study in chosen)
     for file in settings.scenes if needs_rooms else ():
-        planned_walk(file, walk, settings.seed)
+        check_session(file, outputs.session(file.stem), walk, settings.seed)
     decides = {"xihe": __version__, "scenes": hashes, "settings": {"quick": settings.quick, "seed": settings.seed}}
     FolderManifest(out, out / "settings.json", "an evaluation of the paper", decides, (outputs.report,)).take()
     sessions = []

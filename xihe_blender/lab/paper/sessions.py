@@ -68,6 +68,14 @@ def scene_files(given: Sequence[Path]) -> tuple[Path, ...]:
     return files
 
 
+def check_session(file: Path, folder: Path, walk: WalkSettings, seed: int) -> None:
+    """UserError for a scene that cannot be recorded, or whose session in `folder` is of files that have changed."""
+    from xihe_blender.previs.record import check_recording
+
+    scene, _, settings, _, _ = planned_walk(file, walk, seed)
+    check_recording(scene, folder, settings, blend_file=file)
+
+
 def recorded_session(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Session]:
     """A job: the session of the scene in `file`, recorded in `folder` unless it is there.
 
