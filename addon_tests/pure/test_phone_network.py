@@ -33,8 +33,8 @@ def test_four_positions_cost_the_papers_128_percent_of_network_time():
 
 
 def lossy(loss, n_sends=3):
-    return Link(source="test", processing_s=0.01, median_s=0.02, floor_s=0.01, spread=0.2, uplink_bit_per_s=1e7,
-                loss=loss, resend_s=0.2, n_sends=n_sends)  # fmt: skip
+    return Link(source="test", label="Test", summary="Made up", processing_s=0.01, median_s=0.02, floor_s=0.01,
+                spread=0.2, uplink_bit_per_s=1e7, loss=loss, resend_s=0.2, n_sends=n_sends)  # fmt: skip
 
 
 def test_lost_requests_come_late_or_never_in_the_stated_shares():

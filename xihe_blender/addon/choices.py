@@ -58,11 +58,6 @@ OVERRIDES = (
     ("ON", "On", "Always simulated, even if the scene does not need it"),
     ("OFF", "Off", "Never simulated, even if the scene needs it"),
 )
-_NETWORKS = {
-    "wifi": ("Wi-Fi", "An edge server over a university's Wi-Fi"),
-    "home": ("Home Wi-Fi", "An edge server over Wi-Fi at home"),
-    "lte": ("LTE", "An edge server over a mobile network"),
-}
 
 
 def number_of(name: str) -> int:
@@ -116,7 +111,7 @@ def network_items() -> list[Item]:
     from xihenet.phone import LINKS
 
     none = _item(NO_NETWORK, "On the Phone", "Estimates arrive at once, in the frame that they are made from", "BLANK1")
-    return [none, *(_item(name, *_NETWORKS[name], "WORLD") for name in LINKS)]
+    return [none, *(_item(name, link.label, link.summary, "WORLD") for name, link in LINKS.items())]
 
 
 def _item(name: str, label: str, description: str, icon: str) -> Item:

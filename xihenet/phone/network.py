@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.phone.settings import Required, Section, SessionFacts, known, number
+from xihenet.phone.settings import Required, Section, SessionFacts, known, number, text
 from xihenet.records import ArrayF64, ArrayInt, LightEstimate
 
 REFERENCE_PAYLOAD_BYTES = 4249
@@ -32,6 +32,8 @@ REFERENCE_PAYLOAD_BYTES = 4249
 class Link(Section):
     """A way to the edge server."""
 
+    label: str = text()  # what the panel calls it
+    summary: str = text()  # what it is, for the panel, without a full stop
     processing_s: float = number("s", 0.0, 60.0)  # on the device and the server together
     median_s: float = number("s", 0.0, 60.0)  # of the network time of one cloud, there and back
     floor_s: float = number("s", 0.0, 60.0)  # which is never below this
@@ -60,6 +62,8 @@ _preset = functools.partial(Link, processing_s=0.01227, resend_s=0.2, n_sends=3)
 
 LINKS: Mapping[str, Link] = {
     "wifi": _preset(
+        label="Wi-Fi",
+        summary="An edge server over a university's Wi-Fi",
         source="the paper: 8.4 ms network time on university WiFi; four positions cost 1.28 x one, hence the "
         "uplink (0.28 x 8.4 ms for 3 x 4,249 bytes); end to end 20.67 ms at best, under 24.04 ms on every device, "
         "hence floor and spread. Loss 0.1 %: the best WiFi in Codavel's table of real-world links. Time-out: "
@@ -71,6 +75,8 @@ LINKS: Mapping[str, Link] = {
         loss=0.001,
     ),
     "home": _preset(
+        label="Home Wi-Fi",
+        summary="An edge server over Wi-Fi at home",
         source="25 ms and 0.2 % loss: WiFi in the USA in Codavel's table of real-world links; the paper says that "
         "residential WiFi took several times as long as the university's. Chosen: floor at half the median, "
         "spread 0.5, 10 Mbit/s uplink",
@@ -81,6 +87,8 @@ LINKS: Mapping[str, Link] = {
         loss=0.002,
     ),
     "lte": _preset(
+        label="LTE",
+        summary="An edge server over a mobile network",
         source="the paper: 79.2 ms end to end on LTE, less the processing. Loss 0.5 %: 4G in the USA in Codavel's "
         "table of real-world links. Chosen: floor at half the median, spread 0.6, 8 Mbit/s uplink",
         median_s=0.0669,

@@ -93,6 +93,10 @@ def number(unit: str, low: float, high: float, *, kind: type = float) -> Any:
     return field(metadata={"kind": kind, "expected": expected, "low": low, "high": high})
 
 
+def text() -> Any:
+    return field(metadata={"kind": str, "expected": "some text"})
+
+
 def switch() -> Any:
     return field(metadata={"kind": bool, "expected": "true or false"})
 
@@ -102,7 +106,7 @@ class Section:
     """Settings of one sensor effect; making one raises ValueError naming the field that is wrong."""
 
     # Where the numbers come from, or that they were chosen and why.
-    source: str = field(metadata={"kind": str, "expected": "some text"})
+    source: str = text()
 
     def __post_init__(self) -> None:
         for part in dataclasses.fields(self):
@@ -114,7 +118,8 @@ class Section:
 
     def requirement(self, facts: SessionFacts) -> Requirement:
         """The same for the planner; what is not known is required."""
-        numbers = {name: value for name, value in dataclasses.asdict(self).items() if name != "source"}
+        parts = (part for part in dataclasses.fields(self) if part.metadata["kind"] is not str)
+        numbers = {part.name: getattr(self, part.name) for part in parts}
         try:
             is_required, reason = self.required_by(facts)
         except NotKnownError as error:
