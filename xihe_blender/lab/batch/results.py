@@ -38,24 +38,21 @@ SCHEMA_VERSION: Literal[1] = 1
 WORST_KINDS = ("ground_truth", "estimate", "error")
 """Pictures of a trial's worst frame."""
 
-OfPicture = Annotated[float | None, "of pictures against the ground truth, as in a run's results.json"]
-
 
 @dataclass(frozen=True, kw_only=True)
-class TrialFrame:
-    """A captured frame of a trial."""
+class ChainFrame:
+    """What the chain made of a captured frame."""
 
     frame: Annotated[int, "its number"]
     time_s: Annotated[float, "when it is"]
     n_fired: Annotated[int, "positions at which an estimate was asked for"]
     shc_rmse: Annotated[float | None, "mean over positions"]
     coverage: Annotated[float | None, "mean over positions"]
-    psnr: OfPicture
-    ssim: OfPicture
-    rmse: OfPicture
-    si_rmse: OfPicture
-    angular_deg: OfPicture
-    ring_rmse: OfPicture = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialFrame(Metrics, ChainFrame):
+    """A captured frame of a trial, and how its pictures compare with the ground truth."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +67,8 @@ class TriggerFigures:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialFigures:
-    """What came of one phone and one estimator in a unit."""
+class ChainFigures:
+    """What the chain made of one phone and one estimator in a unit."""
 
     phone: Annotated[str, "its name, in a unit's result that of its file where it has one"]
     estimator: Annotated[str, "its name"]
@@ -82,12 +79,12 @@ class TrialFigures:
     estimates_per_minute: Annotated[float | None, "for a minute in which a position is in view"]
     shc_rmse: Annotated[float | None, "mean"]
     coverage: Annotated[float | None, "mean"]
-    psnr: OfPicture
-    ssim: OfPicture
-    rmse: OfPicture
-    si_rmse: OfPicture
-    angular_deg: OfPicture
-    ring_rmse: OfPicture = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialFigures(Metrics, ChainFigures):
+    """What came of one phone and one estimator in a unit; metrics are means over frames."""
+
     object_pixels: Annotated[float | None, "of a compared picture that virtual objects cover, mean"] = None
     payload_bytes: Annotated[int, "sent"]
     frames: Annotated[tuple[TrialFrame, ...], "see there"]
