@@ -35,7 +35,7 @@ from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.capture.render import RenderSettings, render_passes, stacked_rgb, working_scene
 from xihenet.light.environments import HEIGHT, encode_hdr, environment_picture, laid_out
-from xihenet.light.exports import TAKE_PICTURES, NamedLight, export_files
+from xihenet.light.exports import NamedLight, export_files
 from xihenet.light.key_light import rest_of, sh_of_key_light
 from xihenet.light.platforms import PLATFORMS
 from xihenet.panorama import evaluate_panorama
@@ -182,11 +182,11 @@ def written(out: Path, name: str, engine: str, light: ObjectLight, mistake: Call
     folder.mkdir(parents=True, exist_ok=True)
     files = export_files([NamedLight("Sphere", 1, 0.0, light)], engine)
     content = json.loads(files[f"{engine}.json"])
-    if engine in TAKE_PICTURES:
+    if PLATFORMS[engine].picture:
         picture = environment_picture(light, PLATFORMS[engine])
         if mistake is not None:
             picture = mistake(picture, None)
-        files[content["lights"][0]["environment"]] = encode_hdr(laid_out(picture, TAKE_PICTURES[engine]))
+        files[content["lights"][0]["environment"]] = encode_hdr(laid_out(picture, PLATFORMS[engine].picture))
     elif mistake is not None:
         sh = np.reshape(content["lights"][0]["sh"], (9, 3))
         content["lights"][0]["sh"] = mistake(None, sh).ravel().tolist()
@@ -266,13 +266,13 @@ def main() -> None:
         for name, light in lights.items():
             truths[name, False] = truths[name, True] = drawn(light, None)
             radiance = evaluate_panorama(rest_of(light), HEIGHT, 2 * HEIGHT)
-            if radiance.min() < 0 and TAKE_PICTURES.keys() & set(options.engines):
+            if radiance.min() < 0 and any(PLATFORMS[engine].picture for engine in options.engines):
                 # Only black is left of what is below zero in a picture, so Cycles sees the picture.
                 truths[name, True] = drawn(light, np.maximum(radiance, 0))
     versions = versions_drawn(drawing)
     failed = wrong_in_webxr(out, lights)
     for engine in options.engines:
-        is_picture = engine in TAKE_PICTURES
+        is_picture = PLATFORMS[engine].picture is not None
         own = [name for name in by_engine[engine] if name in lights]
         errors = {name: error_of(out, engine, name, truths[name, is_picture]) for name in own}
         caught = {

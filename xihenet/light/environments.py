@@ -9,13 +9,13 @@ channel.
 
 from __future__ import annotations
 
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.light.key_light import rest_of
-from xihenet.light.platforms import Platform
+from xihenet.light.platforms import Layout, Platform
 from xihenet.light.reflections import reflection_panorama
 from xihenet.panorama import evaluate_panorama, panorama_directions, solid_angles
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, KeyLight, ObjectLight
@@ -24,9 +24,8 @@ HEIGHT = 128
 """Of a picture: a texel is 1.4 degrees wide, as wide as the directions of reflections are apart."""
 
 Picture = TypeVar("Picture", ArrayF64, ArrayF32)
-Layout = Literal["+X", "-Y"]
 QUARTERS: dict[Layout, int] = {"+X": -1, "-Y": 2}
-"""Which of Blender's axes is in the middle, where ours have +Y, and the quarters of a turn by which columns move."""
+"""Of a turn by which columns move."""
 
 
 def environment_picture(light: ObjectLight, platform: Platform) -> ArrayF64:

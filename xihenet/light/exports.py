@@ -23,11 +23,12 @@ import numpy as np
 from xihenet import __version__
 from xihenet.colour import linear_to_srgb
 from xihenet.io.png import encode_png
-from xihenet.light.environments import Layout, encode_hdr, environment_picture, laid_out, reflections_picture
+from xihenet.light.environments import encode_hdr, environment_picture, laid_out, reflections_picture
 from xihenet.light.platforms import (
     PLATFORMS,
     Y_UP,
     Convention,
+    Layout,
     MainLight,
     coefficients_for,
     convention_of,
@@ -36,11 +37,8 @@ from xihenet.light.platforms import (
 )
 from xihenet.records import ArrayF64, ObjectLight
 
-TAKE_PICTURES: Mapping[str, Layout] = {"model-viewer": "+X", "playcanvas": "-Y", "usd": "-Y"}
-"""Platforms whose soft light is a picture, and how it is laid out. Reflections for others are as in three.js."""
-
-SCRIPTS = {"unity": "XiheLight.cs", "webxr": "webxr_replay.js"}
-"""What reads the JSON there."""
+REFLECTIONS: Layout = "+X"
+"""How they are laid out where an engine takes no other picture: as in three.js."""
 
 NAME_BYTES = 60
 """Of a file's name for the object, which engines and file systems all take."""
@@ -117,8 +115,9 @@ def export_files(
             "lights": entries,
         }
     )
-    if platform in SCRIPTS:
-        files[SCRIPTS[platform]] = resources.files("xihenet.light").joinpath(SCRIPTS[platform]).read_bytes()
+    script = PLATFORMS[platform].script
+    if script:
+        files[script] = resources.files("xihenet.light").joinpath(script).read_bytes()
     return files
 
 
@@ -143,7 +142,7 @@ def file_names(object_names: Sequence[str]) -> dict[str, str]:
 def _facts(platform: str, convention: Convention, reading: str | None) -> dict[str, Any]:
     of_main = {"direction": convention.direction, "intensity": convention.main_unit}
     facts: dict[str, Any] = {"axes": convention.axes_in_words, "mainLight": of_main}
-    if platform not in TAKE_PICTURES:
+    if PLATFORMS[platform].picture is None:
         facts["coefficients"] = "all of red, green, blue" if convention.by_colour else "red, green, blue of each"
     if len(PLATFORMS[platform].readings) > 1:
         facts["reading"] = reading or next(iter(PLATFORMS[platform].readings))
@@ -160,10 +159,10 @@ def _entry(
     if convention is not None and known.main_light_apart:
         main = main_light_for(one.light, convention)
         entry["mainLight"] = None if main is None else _main_entry(main)
-    if platform in TAKE_PICTURES:
+    if known.picture is not None:
         entry["environment"] = f"{stem}.hdr"
         picture = environment_picture(one.light, known)
-        files[entry["environment"]] = encode_hdr(laid_out(picture, TAKE_PICTURES[platform]))
+        files[entry["environment"]] = encode_hdr(laid_out(picture, known.picture))
     elif convention is not None:
         entry["sh"] = coefficients_for(soft_light(one.light, known), convention).tolist()
         if platform == "openxr":
@@ -171,7 +170,7 @@ def _entry(
     reflected = reflections_picture(one.light) if one.panorama is None else one.panorama
     if reflected is not None:
         entry["reflections"] = f"{stem}_reflections.hdr"
-        files[entry["reflections"]] = encode_hdr(laid_out(reflected, TAKE_PICTURES.get(platform, "+X")))
+        files[entry["reflections"]] = encode_hdr(laid_out(reflected, known.picture or REFLECTIONS))
     if platform == "usd":
         files[f"{stem}.usda"] = usd_document(entry["environment"], main).encode()
     if platform == "gltf":

@@ -43,6 +43,8 @@ X_MIRRORED, Z_MIRRORED = np.diag([-1.0, 1, 1]) @ Y_UP, np.diag([1.0, 1, -1]) @ Y
 Y_MIRRORED_Z_UP = np.diag([1.0, -1, 1])
 
 Direction = Literal["towards the light", "along its travel"]
+Layout = Literal["+X", "-Y"]
+"""Which of Blender's axes is in the middle of a panorama, where ours have +Y."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +85,15 @@ class Platform:
     title : its name
     readings : conventions by name, the default one first; none where it takes a picture alone
     main_light_apart : whether it takes the key light apart
+    picture : layout of the picture that its soft light is; None where it takes coefficients
+    script : file beside this one that reads the JSON there, to be written with it
     """
 
     title: str
     readings: Mapping[str, Convention] = field(default_factory=dict)
     main_light_apart: bool = True
+    picture: Layout | None = None
+    script: str = ""
 
 
 @dataclass(frozen=True)
@@ -144,7 +150,7 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
                 "radiance": replace(_TRAVELS, factors=SIGNS, main_unit="lux where the light's intensity is 1"),
             },
         ),
-        "model-viewer": Platform("model-viewer environment-image", main_light_apart=False),
+        "model-viewer": Platform("model-viewer environment-image", main_light_apart=False, picture="+X"),
         "playcanvas": Platform(
             "PlayCanvas environment atlas and directional light",
             {
@@ -155,6 +161,7 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
                     main_gamma=2.2,
                 )
             },
+            picture="-Y",
         ),
         "unity": Platform(
             "Unity SphericalHarmonicsL2 and Light",
@@ -164,6 +171,7 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
                     _UNITY, axes=X_MIRRORED, axes_in_words="left-handed, Y up: Blender's (x, y, z) is (-x, z, -y)"
                 ),
             },
+            script="XiheLight.cs",
         ),
         "unreal": Platform(
             "Unreal FSHVectorRGB3 and directional light",
@@ -187,7 +195,9 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
             {"radiance": _ARKIT, "unity": replace(_ARKIT, factors=LAMBERT)},
         ),
         "openxr": Platform("OpenXR XR_ANDROID_light_estimation", {"default": _RIGHT}),
-        "webxr": Platform("WebXR XRLightEstimate", {"positive": _RIGHT, "condon-shortley": _SIGNED}),
+        "webxr": Platform(
+            "WebXR XRLightEstimate", {"positive": _RIGHT, "condon-shortley": _SIGNED}, script="webxr_replay.js"
+        ),
         "gltf": Platform(
             "glTF EXT_lights_image_based and KHR_lights_punctual",
             {
@@ -203,6 +213,7 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
                     _TRAVELS, main_scale=0.25, main_unit="a quarter of the irradiance: Blender multiplies a sun by four"
                 ),
             },
+            picture="-Y",
         ),
     }
 )
