@@ -218,7 +218,7 @@ def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespac
 
 def _by_cloud() -> list[str]:
     """Names of the estimators that need nothing but what was seen."""
-    return [name for name in estimators.names() if not estimators.load(name).needs]
+    return [name for name in estimators.names() if not estimators.kind(name).needs]
 
 
 def _positions(capture: Capture, places: Sequence[Place]) -> dict[str, ArrayF64]:

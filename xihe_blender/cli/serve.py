@@ -14,7 +14,7 @@ from xihe_blender.cli.arguments import adder, one_of, whole_numbers
 from xihe_blender.errors import UserError
 from xihenet import estimators
 from xihenet.codec import MAX_STRIPPED_ANCHORS
-from xihenet.edge.batching import UNSERVED, Inference
+from xihenet.edge.batching import Inference, unserved_because
 from xihenet.edge.bench import bench_lines
 from xihenet.edge.client import BEARER_VARIABLE
 from xihenet.edge.http_settings import ServerSettings
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
     add("--host ADDRESS", "address to listen at; 0.0.0.0 for all of this machine's", default="127.0.0.1")
     add("--port PORT", "port to listen at; 0 for a free one", int, default=PORT)
-    served = one_of(name for name in estimators.names() if name not in UNSERVED)
+    served = one_of(name for name in estimators.names() if not unserved_because(name))
     add("--estimator NAME", f"{served}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
     add("--device", "where the network runs: cpu, or cuda in torch", choices=("cpu", "cuda"), default="cpu")
     target = "light that published clients get: clipped at white (ldr, as in the paper) or all of it (hdr)"

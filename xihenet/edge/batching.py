@@ -28,14 +28,14 @@ from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Targe
 from xihenet.estimators.lattice import Lattice, lean_on_sensor
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame, UnitSphereCloud
 
-UNSERVED = {
-    "truth": "truth is a light probe rendered in Blender, which no client sends",
-    "pointar": "pointar draws from raw points, which clouds of anchors no longer hold",
-}
-"""Estimators that cannot answer clouds, and why."""
+SENT = frozenset({"frame"})
+"""Fields of `EstimateContext` that a request tells: of a frame the light sensor, all that estimators ask of it."""
 
-QUICK = frozenset({"lattice", "projection", "ambient"})
-"""Estimators whose batch of 16 holds up the event loop for some 15 ms at most."""
+NOT_SENT = {
+    "truth_sh": "is a light probe rendered in Blender, which no client sends",
+    "points": "draws from raw points, which clouds of anchors no longer hold",
+}
+"""Of others, what is said of an estimator that needs them."""
 
 STEPS_TO_QUEUE = 3
 """Of the event loop, from bytes that have arrived to a request that waits."""
@@ -63,20 +63,26 @@ class QueueFull(Exception):
     """More requests wait than can be answered in time."""
 
 
+def unserved_because(name: str) -> str:
+    """Why the estimator `name` cannot answer clouds; empty where it can. ValueError for an unknown name."""
+    missing = sorted(estimators.kind(name).needs - SENT)
+    return f"{name} {NOT_SENT.get(missing[0], f'needs {missing[0]}, which no client sends')}" if missing else ""
+
+
 class Inference:
     """The networks, loaded when a size and target are first asked for; called by one thread.
 
     On a `device` other than "cpu" they run in torch, see `torch_networks`. ValueError for an unknown estimator, for one
-    of `UNSERVED`, and for a device that it cannot run on; ImportError without torch.
+    that cannot answer clouds, and for a device that it cannot run on; ImportError without torch.
     """
 
     def __init__(self, name: str = estimators.DEFAULT, device: str = "cpu") -> None:
-        if name in UNSERVED:
-            raise ValueError(f"{UNSERVED[name]}: choose another estimator")
+        if reason := unserved_because(name):
+            raise ValueError(f"{reason}: choose another estimator")
         self.name, self.device = name, device
-        self.is_quick = device == "cpu" and name in QUICK
         # What cannot be loaded is found out at the start.
-        self.farthest_m = self.estimator(1280, "ldr").farthest_m
+        estimator = self.estimator(1280, "ldr")
+        self.farthest_m, self.is_quick = estimator.farthest_m, device == "cpu" and estimator.is_quick
 
     @functools.lru_cache(maxsize=32)  # noqa: B019  as many as there are sizes and targets, for as long as the process
     def estimator(self, n_anchors: int, target: Target) -> Estimator:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from xihenet.estimators.base import EstimateContext, Estimator, Target
 
-__all__ = ["DEFAULT", "EstimateContext", "Estimator", "Target", "label", "load", "names", "summary"]
+__all__ = ["DEFAULT", "EstimateContext", "Estimator", "Target", "kind", "label", "load", "names", "summary"]
 
 
 class _Row(NamedTuple):
@@ -70,10 +70,15 @@ def summary(name: str) -> str:
     return _REGISTRY[name].summary
 
 
-def load(name: str, n_anchors: int = 1280, target: Target = "ldr") -> Estimator:
-    """The estimator of that name, for clouds of `n_anchors`; ValueError for an unknown name or illegal other values."""
+def kind(name: str) -> type[Estimator]:
+    """The class of that name, which says what it needs without loading weights; ValueError for an unknown name."""
     if name not in _REGISTRY:
         raise ValueError(f"there is no estimator {name!r}; choose one of {', '.join(names())}")
     row = _REGISTRY[name]
-    kind: type[Estimator] = getattr(importlib.import_module(f"{__name__}.{row.module}"), row.class_name)
-    return kind(n_anchors, target)
+    found: type[Estimator] = getattr(importlib.import_module(f"{__name__}.{row.module}"), row.class_name)
+    return found
+
+
+def load(name: str, n_anchors: int = 1280, target: Target = "ldr") -> Estimator:
+    """The estimator of that name, for clouds of `n_anchors`; ValueError for an unknown name or illegal other values."""
+    return kind(name)(n_anchors, target)

@@ -42,6 +42,7 @@ class Estimator(ABC):
     name: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()  # fields of `EstimateContext` that this estimator is made for
     farthest_m: ClassVar[float] = np.inf  # distances beyond are taken for this one
+    is_quick: ClassVar[bool] = False  # whether 16 estimates take some 15 ms at most, so that a server needs no thread
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr") -> None:
         if n_anchors < 1:

@@ -34,6 +34,7 @@ class Lattice(Estimator):
     """
 
     name = "lattice"
+    is_quick = True
     farthest_m = FARTHEST_M
 
     def __init__(self, n_anchors: int = 1280, target: Target = "ldr", *, weights: Path | None = None) -> None:

@@ -16,6 +16,7 @@ class Projection(Estimator):
     """Least squares on the anchors. They are clipped at 1, so both targets give the same light; without any, black."""
 
     name = "projection"
+    is_quick = True
 
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         return project_anchors(cloud, AnchorLattice(self.n_anchors))
