@@ -1,6 +1,11 @@
 """What every estimator promises, and what each of them gives."""
 
+import hashlib
+import re
+import sys
+import tomllib
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +13,10 @@ import pytest
 from addon_tests.pure.made import constant, frame_of, random_cloud
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.edge.batching import Inference, unserved_because
 from xihenet.estimators import EstimateContext
+from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.weights_format import weights_sha256
 from xihenet.records import PointCloud, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
@@ -75,6 +83,68 @@ def test_an_unknown_name_is_refused_with_the_known_ones():
 def test_options_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ValueError, match="expected"):
         estimators.load("projection", **wrong)
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """Installs the estimator that docs/python.md shows, with other code or another entry point if given."""
+    page = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(import numpy[^`]*class Evenly.*?)```", page, re.DOTALL)
+    project = tomllib.loads(re.search(r"```toml\n(.*?)```", page, re.DOTALL)[1])["project"]
+    ((name, place),) = project["entry-points"]["xihe.estimators"].items()
+    shown = f"{name} = {place}"
+
+    def install(code=code, entry=shown):
+        (tmp_path / "evenly.py").write_text(code)
+        facts = tmp_path / "evenly-1.0.dist-info"
+        facts.mkdir()
+        said = f"Metadata-Version: 2.1\nName: evenly\nVersion: 1.0\nSummary: {project['description']}\n"
+        (facts / "METADATA").write_text(said)
+        (facts / "entry_points.txt").write_text(f"[xihe.estimators]\n{entry}\n")
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.delitem(sys.modules, "evenly", raising=False)
+        estimators._registry.cache_clear()
+        return code
+
+    yield install
+    estimators._registry.cache_clear()
+
+
+def test_an_estimator_of_another_package_is_known_as_ours_are(package):
+    code = package()
+    assert (
+        estimators.names()[-1] == "evenly" and estimators.summary("evenly") == "Mean of what was seen, from everywhere"
+    )
+    light = estimators.load("evenly", N, "hdr").estimate(constant_cloud(LATTICE.directions[:, 2] > 0))
+    np.testing.assert_allclose(light, constant(RADIANCE), rtol=1e-5)
+    digest = hashlib.sha256(code.encode()).hexdigest()
+    assert weights_sha256(["evenly", "projection"], "hdr") == {"evenly": digest}
+    assert Inference("evenly").name == "evenly" and not unserved_because("evenly")
+
+
+def test_no_package_takes_the_name_of_ours(package):
+    package(entry="lattice = evenly:Evenly")
+    assert isinstance(estimators.load("lattice", N), Lattice) and len(set(estimators.names())) == len(
+        estimators.names()
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"code": "import nowhere"}, "evenly does not offer Evenly (No module named 'nowhere'): mend or uninstall it"),
+        (
+            {"code": ""},
+            "evenly does not offer Evenly (module 'evenly' has no attribute 'Evenly'): mend or uninstall it",
+        ),
+        ({"entry": "even = evenly:Evenly"}, "evenly: the name of Evenly is 'evenly', and 'even' is expected"),
+    ],
+)
+def test_a_package_that_does_not_hold_what_it_offers_is_refused(package, wrong, said):
+    package(**wrong)
+    with pytest.raises(ImportError, match=re.escape(said)):
+        estimators.load(estimators.names()[-1], N)
+    assert unserved_because(estimators.names()[-1]) == said
 
 
 def test_ambient_takes_the_sensor_and_the_sessions_exposure():

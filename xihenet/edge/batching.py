@@ -65,7 +65,10 @@ class QueueFull(Exception):
 
 def unserved_because(name: str) -> str:
     """Why the estimator `name` cannot answer clouds; empty where it can. ValueError for an unknown name."""
-    missing = sorted(estimators.kind(name).needs - SENT)
+    try:
+        missing = sorted(estimators.kind(name).needs - SENT)
+    except ImportError as error:
+        return str(error)
     return f"{name} {NOT_SENT.get(missing[0], f'needs {missing[0]}, which no client sends')}" if missing else ""
 
 

@@ -2,50 +2,57 @@
 
 The registry is a table of names, where each lives, and what panel and report say of it. A module is imported when it
 is asked for, so that the report, which knows no NumPy, can read the table. A new estimator is one file and one row.
+Those that other packages offer by entry points have rows as well (docs/python.md).
 """
 
 from __future__ import annotations
 
+import functools
 import importlib
+from importlib import metadata
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from xihenet.estimators.base import EstimateContext, Estimator, Target
 
-__all__ = ["DEFAULT", "EstimateContext", "Estimator", "Target", "kind", "label", "load", "names", "summary"]
+__all__ = [
+    "DEFAULT", "EstimateContext", "Estimator", "Target", "is_outside", "kind", "label", "load", "names", "summary",
+]  # fmt: skip
 
 
 class _Row(NamedTuple):
-    module: str  # of this package
+    module: str  # after a dot, of this package
     class_name: str
     label: str
     summary: str
 
 
-_REGISTRY = {
+_OURS = {
     "ambient": _Row(
-        "ambient",
+        ".ambient",
         "Ambient",
         "Ambient",
         "Average brightness and colour, the same from all directions, as a phone's light sensor reports",
     ),
     "projection": _Row(
-        "projection",
+        ".projection",
         "Projection",
         "Projection",
         "Least-squares fit to the surroundings seen so far; no learning",
     ),
-    "pointar": _Row("pointconv", "PointAR", "PointAR", "Neural network on randomly chosen points"),
-    "xihenet": _Row("pointconv", "XiheNet", "XiheNet", "The paper's neural network on unit-sphere samples"),
-    "lattice": _Row("lattice", "Lattice", "Lattice", "Neural network on fixed directions; takes about a millisecond"),
+    "pointar": _Row(".pointconv", "PointAR", "PointAR", "Neural network on randomly chosen points"),
+    "xihenet": _Row(".pointconv", "XiheNet", "XiheNet", "The paper's neural network on unit-sphere samples"),
+    "lattice": _Row(".lattice", "Lattice", "Lattice", "Neural network on fixed directions; takes about a millisecond"),
     "truth": _Row(
-        "truth",
+        ".truth",
         "Truth",
         "Ground Truth",
         "No estimate: the true light rendered at each object, the best that can be reached",
     ),
 }
 DEFAULT = "lattice"
+OUTSIDE = "xihe.estimators"
+"""Group of the entry points by which other packages offer theirs."""
 
 
 def __getattr__(name: str) -> Any:
@@ -55,27 +62,50 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
+@functools.cache
+def _registry() -> dict[str, _Row]:
+    """Our rows, and those of other packages, none of which takes a name of ours."""
+    rows = {}
+    for one in metadata.entry_points(group=OUTSIDE):
+        words = one.dist.metadata["Summary"] if one.dist is not None else None
+        rows[one.name] = _Row(one.module, one.attr, one.name, (words or f"Estimator of {one.module}").rstrip("."))
+    return _OURS | {name: row for name, row in rows.items() if name not in _OURS}
+
+
+def is_outside(name: str) -> bool:
+    """Whether another package brought the estimator."""
+    return name not in _OURS
+
+
 def names() -> list[str]:
-    """All registered estimators."""
-    return list(_REGISTRY)
+    """All registered estimators, ours first."""
+    return list(_registry())
 
 
 def label(name: str) -> str:
     """What people read for the name of an estimator."""
-    return _REGISTRY[name].label
+    return _registry()[name].label
 
 
 def summary(name: str) -> str:
     """What an estimator is, in one sentence without its full stop."""
-    return _REGISTRY[name].summary
+    return _registry()[name].summary
 
 
 def kind(name: str) -> type[Estimator]:
-    """The class of that name, which says what it needs without loading weights; ValueError for an unknown name."""
-    if name not in _REGISTRY:
+    """The class of that name, which says what it needs without loading weights.
+
+    ValueError for an unknown name; ImportError for one of another package that has no such class of that name.
+    """
+    if name not in _registry():
         raise ValueError(f"there is no estimator {name!r}; choose one of {', '.join(names())}")
-    row = _REGISTRY[name]
-    found: type[Estimator] = getattr(importlib.import_module(f"{__name__}.{row.module}"), row.class_name)
+    row = _registry()[name]
+    try:
+        found: type[Estimator] = getattr(importlib.import_module(row.module, __name__), row.class_name)
+    except (ImportError, AttributeError) as error:
+        raise ImportError(f"{row.module} does not offer {row.class_name} ({error}): mend or uninstall it") from error
+    if found.name != name:
+        raise ImportError(f"{row.module}: the name of {row.class_name} is {found.name!r}, and {name!r} is expected")
     return found
 
 

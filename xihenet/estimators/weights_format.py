@@ -10,6 +10,7 @@ code when it is read.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -20,6 +21,7 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from xihenet.estimators import is_outside, kind
 from xihenet.estimators.base import Estimator, Target
 from xihenet.io.json_files import parse_json
 from xihenet.io.npz_files import npz_sizes, read_npz
@@ -125,8 +127,13 @@ def shipped_weights(name: str, target: Target) -> Path:
 
 
 def weights_sha256(names: Iterable[str], target: Target) -> dict[str, str]:
-    """By estimator, the digest of its weights file; those without weights are left out."""
-    files = {name: shipped_weights(name, target) for name in names}
+    """By estimator, the digest of its weights file; those without weights are left out.
+
+    Of one that another package brought, the file that its class is in: what else it reads is not known.
+    """
+    files = {
+        name: Path(inspect.getfile(kind(name))) if is_outside(name) else shipped_weights(name, target) for name in names
+    }
     return {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items() if file.exists()}
 
 

@@ -62,7 +62,7 @@ from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
-from xihenet import __version__, estimators
+from xihenet import __version__
 from xihenet.effects import effects_as_json, plan_effects
 from xihenet.estimators.weights_format import weights_sha256
 from xihenet.records import ArrayF64
@@ -102,7 +102,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
         "linked_sha256": contents_sha256(patterns),
         "settings": asdict(settings),
-        "weights": weights_sha256(estimators.names(), "ldr"),
+        "weights": weights_sha256({choice.estimator for choice in compute_choices(is_quick=False)}, "ldr"),
     }
     results = (out / "frontier.json",)
     FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).take()
