@@ -74,7 +74,8 @@ def _shared_legend(timeline: Timeline) -> str:
         for i, name in enumerate(timeline.probe_names)
     ]
     reasons = {probe.reason for probe in timeline.probes if probe.fired}
-    entries += [f"{svg.icon(reason_shape(r))} estimate made: {words}" for r, words in REASONS.items() if r in reasons]
+    known = [reason for reason in REASONS if reason in reasons]
+    entries += [f"{svg.icon(reason_shape(reason))} estimate made: {format_trigger(reason)}" for reason in known]
     if not all(probe.is_valid for probe in timeline.probes):
         entries.append(f"{svg.icon(reason_shape(KEPT))} light unknown: the last estimate is kept")
     if timeline.inactive_spans():

@@ -14,27 +14,26 @@ from xihe_blender.io.run_results import FrameResult, ProbeResult, RunResults
 
 Value = Callable[[ProbeResult], float | None]
 REASONS = {
-    "first": "first estimate",
-    "colour": "light changed",
-    "coverage": "more of the surroundings seen",
-    "light": "light differs",
-    "moved": "object moved",
+    "first": ("first estimate", "diamond"),
+    "colour": ("light changed", "circle"),
+    "coverage": ("more of the surroundings seen", "triangle"),
+    "light": ("light differs", "circle"),  # as "colour": one run has one policy of the trigger
+    "moved": ("object moved", "square"),
 }
+"""Why an estimate was made: in words, and the shape of its mark."""
+
 KEPT = "kept"
 """Stands where a reason stands, for a frame whose light could not be known."""
-
-# One run has one policy of the trigger, and "colour" and "light" are of two.
-_SHAPES = {"first": "diamond", "colour": "circle", "coverage": "triangle", "light": "circle", KEPT: "cross"}
 N_COLOURS = 6
 
 
 def format_trigger(reason: str) -> str:
-    return REASONS.get(reason, reason)
+    return REASONS[reason][0] if reason in REASONS else reason
 
 
 def reason_shape(reason: str) -> str:
     """Which of the shapes marks `reason`: one each, so that reasons are told apart without colour."""
-    return _SHAPES.get(reason, "square")
+    return "cross" if reason == KEPT else REASONS[reason][1]
 
 
 def series_class(index: int) -> str:
