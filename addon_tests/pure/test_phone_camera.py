@@ -5,7 +5,9 @@ import pytest
 
 from xihenet.camera import encode_exposed, valid_plane_depth
 from xihenet.phone import EFFECTS, CameraMotion, PhoneCamera, PhoneProfile, SurfaceFacts, load_profile, profile_names
+from xihenet.phone.camera_chain import HOLES
 from xihenet.phone.depth import RangeLimits
+from xihenet.phone.holes import Holes
 from xihenet.records import Intrinsics, RgbdFrame
 
 MOTION = CameraMotion(np.array([0.5, 0, 0]), np.array([0, 0, 0.6]))
@@ -23,6 +25,10 @@ def frame_of(number, size=(48, 64), ambient=(1.0, 0.9, 0.7)):
     colour = rng.integers(0, 256, (*size, 3), dtype=np.uint8)
     intrinsics = CAMERA if size == (48, 64) else Intrinsics(width, height, 50.0, 50.0, width / 2, height / 2)
     return RgbdFrame(colour, z, intrinsics, np.eye(4), 0.5, np.array(ambient), time_s=0.1 * number, frame=number)
+
+
+def test_every_effect_that_makes_holes_has_its_turn():
+    assert sorted(HOLES) == sorted(name for name, kind in EFFECTS.items() if issubclass(kind, Holes))
 
 
 def as_bytes(frame):
