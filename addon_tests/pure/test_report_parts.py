@@ -107,6 +107,20 @@ def test_estimates_that_the_server_did_not_answer_are_said_first():
     assert "the phone made no estimates of" in report.format_result(runs.results([runs.frame(1, runs.probe())]))
 
 
+def test_the_time_of_rendering_holds_the_compared_pictures_and_the_choice_of_samples():
+    summary = {"render_s": 24.0, "comparison_render_s": 122.0, "pilot_s": 6.9}
+    page = re.sub("<[^>]*>", " ", report._key_figures(runs.results(summary=summary)))
+    parts = "24.0 s for captures and light probes, 122 s for compared pictures, 6.90 s for choosing the samples"
+    assert f"of rendering: {parts}" in page and " 153 s " in page
+
+
+def test_one_estimate_is_an_estimate():
+    summary = {"n_active_frames": 4, "n_frames": 4, "n_estimates": 1, "n_unknown_lights": 0}
+    summary |= {"rmse_against_ambient": {}, "object_pixels": None}
+    whole = runs.content(summary=summary, settings={"network": None})
+    assert format_summary(whole) == "4 of 4 frames, 1 estimate"
+
+
 @pytest.mark.parametrize(
     ("pixels", "said"), [(None, ""), (0.0, ""), (0.3, "only 1 pixel of"), (99.4, "only 99 pixels of"), (100, "")]
 )

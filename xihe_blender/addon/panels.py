@@ -65,7 +65,9 @@ COVERAGE = (
 CHAIN = (
     "Mean time from unproject to estimate, without rendering. At 30 frames a second a phone has 33 ms for all it does"
 )
-RENDERING = "Time that Cycles took for the captures, the light probes, the ground truth and the objects"
+RENDERING = (
+    "Time that it took to choose the number of samples, and to render captures, light probes, ground truth and objects"
+)
 NO_DEPTH = (
     "Pixels without a depth, such as those of windows and sky, counted once for each position. Their colour counts as "
     "light from far away, where nothing nearer is known"
@@ -444,7 +446,7 @@ def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
         *[("Ambient Error", _number(summary.ambient_shc_rmse, ".3f"), AMBIENT_ERROR)] * has_truth,
         ("Coverage", _number(summary.mean_coverage, ".0%"), COVERAGE),
         ("Chain", _number(summary.mean_step_ms, ".1f", " ms a frame"), CHAIN),
-        ("Rendering", format_duration(summary.render_s + summary.comparison_render_s), RENDERING),
+        ("Rendering", format_duration(summary.all_render_s), RENDERING),
     ]
     if run.settings.backend is not None:
         state = next((note for note in run.notes if run.settings.backend in note), "")

@@ -54,11 +54,13 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 def format_summary(results: dict[str, Any]) -> str:
     """The result of a previs run for someone who reads only one line."""
     from xihe_blender.report.values import too_small_to_judge
+    from xihenet.formats import format_count
     from xihenet.invalid import format_unanswered
 
     summary, estimator = results["summary"], results["settings"]["estimator"]
     ratio = (summary["rmse_against_ambient"] or {}).get(estimator)
-    line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {summary['n_estimates']} estimates"
+    estimates = format_count(summary["n_estimates"], "estimate")
+    line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {estimates}"
     line += format_unanswered(summary["invalid"]["lights"])
     if results["settings"]["network"] is not None:
         latency_ms = summary["mean_latency_ms"]

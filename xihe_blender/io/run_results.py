@@ -357,10 +357,15 @@ class Summary:
     invalid: Annotated[InvalidCounts, "sums"]
     render_s: Annotated[float, "of captures and light probes"]
     comparison_render_s: Annotated[float, "of compared pictures"] = 0.0
-    overhead_share: Annotated[float | None, "work over rendering"] = None
+    overhead_share: Annotated[float | None, "`work_s` of all frames over `render_s`"] = None
     object_pixels: Annotated[float | None, "that virtual objects cover, over compared frames that show any"] = None
     rmse_against_ambient: Annotated[ByMethod, "its error over that of the ambient light"] = field(default_factory=dict)
     pilot_s: Annotated[float, "of choosing samples"] = 0.0
+
+    @property
+    def all_render_s(self) -> float:
+        """Of captures, light probes and compared pictures, and of choosing the samples."""
+        return self.render_s + self.comparison_render_s + self.pilot_s
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,13 +10,20 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.io.run_results import RunResults
+from xihe_blender.io.run_results import RunResults, Summary
 from xihe_blender.report.document import SCRIPT, document, write_document
 from xihe_blender.report.pictures import pictures_section
 from xihe_blender.report.plots import plots_section
 from xihe_blender.report.tables import numbers_section
 from xihe_blender.report.values import closeness, code, escape, format_closeness, rmse_of, too_small_to_judge
-from xihenet.formats import DASH, format_bytes, format_count, format_number, format_percent, format_quantity
+from xihenet.formats import (
+    DASH,
+    format_bytes,
+    format_count,
+    format_number,
+    format_percent,
+    format_quantity,
+)
 from xihenet.invalid import format_unanswered
 
 
@@ -100,10 +107,9 @@ def _against_ambient(closer: float) -> str:
 
 def _key_figures(results: RunResults) -> str:
     summary = results.summary
-    ambient, overhead = summary.ambient_shc_rmse, summary.overhead_share
+    ambient = summary.ambient_shc_rmse
     against = "" if ambient is None else f"; {format_number(ambient)} with <code>ambient</code>"
     expected = "" if summary.expected_error is None else f"; {format_number(summary.expected_error)} was expected"
-    around = "" if overhead is None else f", plus {format_percent(overhead)} for all other work"
     estimates = f"estimate{'' if summary.n_estimates == 1 else 's'} in {format_count(len(results.frames), 'frame')}"
     errors = [
         (format_number(summary.mean_shc_rmse), f"mean coefficient error (SHC RMSE){expected}{against}"),
@@ -116,10 +122,20 @@ def _key_figures(results: RunResults) -> str:
         *errors,
         (format_quantity(summary.mean_step_ms, "ms"), "mean time of one step, without rendering"),
         (format_bytes(sum(probe.payload_bytes for probe in results.probes)), "sent to the estimator in total"),
-        (format_quantity(summary.render_s, "s"), f"of rendering{around}"),
+        _rendering_figure(summary),
     ]
     shown = "".join(f"<div><dt>{label}</dt><dd>{value}</dd></div>" for value, label in figures)
     return f'<dl class="figures">{shown}</dl>'
+
+
+def _rendering_figure(summary: Summary) -> tuple[str, str]:
+    parts = {
+        "captures and light probes": summary.render_s,
+        "compared pictures": summary.comparison_render_s,
+        "choosing the samples": summary.pilot_s,
+    }
+    words = ", ".join(f"{format_quantity(seconds, 's')} for {part}" for part, seconds in parts.items() if seconds)
+    return format_quantity(summary.all_render_s, "s"), f"of rendering{words and f': {words}'}"
 
 
 def _closeness_figure(results: RunResults) -> tuple[str, str]:
