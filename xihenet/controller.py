@@ -82,7 +82,7 @@ class XiheController:
     """One AR session: positions go in, frames go in, light comes out.
 
     `backend` makes the estimates; its `n_anchors` is the session's. `others` answer beside it, for the same clouds:
-    their light is in `LightEstimate.others`, and their time in no stage.
+    their light is in `LightEstimate.others`, and their time in `LightEstimate.other_ms`.
 
     A session is not safe between threads: call it from one, or under a lock. Sessions may share an estimator. Whatever
     takes a position's name raises KeyError for one that was not added.
@@ -339,13 +339,18 @@ class XiheController:
         self, estimate: LightEstimate, cloud: UnitSphereCloud, context: EstimateContext, position: _Position
     ) -> LightEstimate:
         """With what the other estimators say, those for which the light can be known."""
-        exposure = self.reference_exposure or 1.0
-        said = {other.name: estimate_light(other, cloud, context, exposure) for other in self.others}
-        valid = {name: light for name, light in said.items() if light.is_valid}
+        clock, lights, keys = StageClock(), {}, {}
         previous = position.light.other_keys if position.light else {}
-        found = {name: self._key_light(light, position, previous.get(name)) for name, light in valid.items()}
-        keys = {name: key for name, key in found.items() if key is not None}
-        return replace(estimate, others={name: light.sh_radiance for name, light in valid.items()}, other_keys=keys)
+        for other in self.others:
+            name = other.name
+            with clock.stage(name):
+                light = estimate_light(other, cloud, context, self.reference_exposure or 1.0)
+                key = self._key_light(light, position, previous.get(name)) if light.is_valid else None
+            if light.is_valid:
+                lights[name] = light.sh_radiance
+            if key is not None:
+                keys[name] = key
+        return replace(estimate, others=lights, other_keys=keys, other_ms=clock.stage_ms)
 
     def _clamped(self, sent: UnitSphereCloud, used: UnitSphereCloud) -> Counts:
         """Distances that the wire or the network takes for others."""

@@ -421,6 +421,7 @@ class LightEstimate:
     others : (9, 3) by name, what other estimators say of the same cloud, those that know
     key : the key light that is a part of it; None for none, and where the session asks for none
     other_keys : the key lights that are a part of `others`, of those that have one
+    other_ms : milliseconds by name that the other estimators took, those that did not know too
     reflected : what was seen so far, on the finer lattice of reflections; None where nobody asked for it
     seen : what the estimate's frame alone showed, see `xihenet.light.carried_light`; None where nobody knows
     """
@@ -435,6 +436,7 @@ class LightEstimate:
     others: Mapping[str, ArrayF64] = field(default_factory=dict)
     key: KeyLight | None = None
     other_keys: Mapping[str, KeyLight] = field(default_factory=dict)
+    other_ms: Mapping[str, float] = field(default_factory=dict)
     reflected: UnitSphereCloud | None = None
     seen: UnitSphereCloud | None = None
 

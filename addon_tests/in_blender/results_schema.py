@@ -11,8 +11,8 @@ from xihe_blender.io.run_results import RunResults
 from xihenet.invalid import CLAMPED, UNKNOWN, format_reason
 from xihenet.phone import PHONE_EFFECTS
 
-FRAME_TIMES = {"render_s", "work_s", "stage_ms", "comparison_render_s"}
-SUMMARY_TIMES = {"render_s", "pilot_s", "comparison_render_s", "overhead_share", "mean_step_ms"}
+FRAME_TIMES = {"render_s", "work_s", "stage_ms", "others_ms", "comparison_render_s"}
+SUMMARY_TIMES = {"render_s", "pilot_s", "comparison_render_s", "overhead_share", "mean_step_ms", "estimate_ms"}
 STAGES = {"unproject", "sample", "merge", "trigger", "encode", "estimate", "reflect"}
 SCHEMA = Draft202012Validator(json_schema(RunResults))
 

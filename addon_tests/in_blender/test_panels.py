@@ -69,16 +69,18 @@ def test_several_estimators_stand_in_a_table_with_the_best_picture_first(run_fol
     metrics = dict.fromkeys(("psnr", "ssim", "si_rmse", "angular_deg"))
     several = CONTENT | {
         "settings": CONTENT["settings"] | {"others": ["projection"]},
-        "summary": CONTENT["summary"] | {"others_shc_rmse": {"projection": 0.125}, "ambient_shc_rmse": 0.5},
+        "summary": CONTENT["summary"]
+        | {"others_shc_rmse": {"projection": 0.125}, "ambient_shc_rmse": 0.5}
+        | {"estimate_ms": {"lattice": 1.25, "projection": 0.5}},
         "comparison": {
             name: metrics | {"rmse": rmse} for name, rmse in (("lattice", 0.2), ("projection", 0.1), ("ambient", None))
         },
     }
     (run_folder / "results.json").write_text(json.dumps(several), encoding="utf-8")
     assert panels.method_rows(reader.last_run(str(run_folder))) == [
-        ("projection", "0.125", "0.100"),
-        ("lattice", "0.250", "0.200"),
-        ("ambient", "0.500", "none"),
+        ("projection", "0.125", "0.100", "0.5 ms"),
+        ("lattice", "0.250", "0.200", "1.2 ms"),
+        ("ambient", "0.500", "none", "none"),
     ]
 
 

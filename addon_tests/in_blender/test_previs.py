@@ -71,6 +71,8 @@ def test_another_estimator_beside_the_chosen_one_says_and_shows_what_it_does_whe
     assert beside["comparison"]["lattice"] == finished.results["comparison"]["lattice"]
     mean = finished.results["summary"]["mean_shc_rmse"]
     assert beside["summary"]["others_shc_rmse"] == {"lattice": mean}
+    times_ms = beside["summary"]["estimate_ms"]
+    assert list(times_ms) == ["projection", "lattice"] and min(times_ms.values()) > 0
     assert f"{mean:.2f}"[:3] in RunOutputs(tmp_path, "untitled").report.read_text(encoding="utf-8")
 
 

@@ -19,7 +19,7 @@ from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kind
 from xihe_blender.report.tables import numbers_section
 from xihe_blender.report.timeline import REASONS, Timeline
 from xihe_blender.report.values import closeness, format_closeness, too_small_to_judge
-from xihenet.formats import format_percent
+from xihenet.formats import DASH, format_percent
 from xihenet.records import TriggerReason
 
 
@@ -112,6 +112,16 @@ def test_the_time_of_rendering_holds_the_compared_pictures_and_the_choice_of_sam
     page = re.sub("<[^>]*>", " ", report._key_figures(runs.results(summary=summary)))
     parts = "24.0 s for captures and light probes, 122 s for compared pictures, 6.90 s for choosing the samples"
     assert f"of rendering: {parts}" in page and " 153 s " in page
+
+
+def test_the_time_of_each_estimator_stands_beside_its_errors():
+    comparison = {name: runs.metrics(0.1) for name in ("lattice", "projection", "ambient")}
+    page = numbers_section(
+        runs.results(comparison=comparison, summary={"estimate_ms": {"lattice": 1.25, "pointar": 5}})
+    )
+    rows = re.findall(r"<tr>.*?</tr>", page)
+    times = [re.findall(r'"time of an estimate"><span>(.*?)</span>', row) for row in rows[1:4]]
+    assert times == [["1.25 ms"], [DASH], [DASH]]
 
 
 def test_one_estimate_is_an_estimate():

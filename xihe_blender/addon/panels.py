@@ -56,6 +56,7 @@ EXPECTED_ERROR = (
 METHODS = (
     "Light: mean distance from the rendered light probe, in spherical-harmonic coefficients. Picture: root mean square "
     "error of the lit objects, in linear colour, against the ground truth. 0 is perfect; the best picture stands first"
+    ". Time: of one estimate on this machine, in milliseconds"
 )
 AMBIENT_ERROR = "The same distance for one even light as bright as the captured picture, which every phone can offer"
 COVERAGE = (
@@ -401,21 +402,24 @@ def _draw_looks(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
 
 
 def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:
-    """A table of the estimators of a run: the error of their light and of the pictures of the lit objects."""
+    """A table of the estimators of a run: the error of their light and of the pictures of the lit objects, and time."""
     row = layout.box().row(align=True)
-    columns = [row.column(align=True) for _ in range(3)]
+    columns = [row.column(align=True) for _ in range(4)]
     row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = METHODS
-    for cells in [("Estimator", "Light", "Picture"), *method_rows(run)]:
+    for cells in [("Estimator", "Light", "Picture", "Time"), *method_rows(run)]:
         for column, cell in zip(columns, cells, strict=True):
             column.label(text=cell, translate=False)
 
 
-def method_rows(run: RunResults) -> list[tuple[str, str, str]]:
-    """(name, light error, picture error) of each method of a run, the best picture first."""
-    lights = run.light_errors
+def method_rows(run: RunResults) -> list[tuple[str, str, str, str]]:
+    """(name, light error, picture error, time of an estimate) of each method of a run, the best picture first."""
+    lights, times = run.light_errors, run.summary.estimate_ms
     rmse = {name: None if name not in run.comparison else run.comparison[name].rmse for name in lights}
     best_first = sorted(lights, key=lambda name: math.inf if (error := rmse[name]) is None else error)
-    return [(name, _number(lights[name], ".3f"), _number(rmse[name], ".3f")) for name in best_first]
+    return [
+        (name, _number(lights[name], ".3f"), _number(rmse[name], ".3f"), _number(times.get(name), ".1f", " ms"))
+        for name in best_first
+    ]
 
 
 def object_icon(item: bpy.types.Object) -> str:

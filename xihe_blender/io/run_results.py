@@ -259,6 +259,9 @@ class FrameResult:
     render_s: Annotated[float, "of capture and light probes"] = 0.0
     work_s: Annotated[float, "of all else"] = 0.0
     stage_ms: Annotated[dict[str, float], "by stage, summed over positions"] = field(default_factory=dict)
+    others_ms: Annotated[dict[str, float], "by other estimator, of its estimates, summed over positions"] = field(
+        default_factory=dict
+    )
     ambient_radiance: Annotated[Rgb | None, "of the phone's light sensor"] = None
     n_invalid_pixels: Annotated[int, "without plane depth"] = 0
     n_lost_pixels: Annotated[Counts, "of these, what each effect of the phone took"] = field(default_factory=dict)
@@ -346,6 +349,10 @@ class Summary:
     n_capped_probes: Annotated[int, "light probes noisier than aimed at"] = 0
     mean_coverage: Annotated[float | None, "over positions and frames"]
     mean_step_ms: Annotated[float | None, "a frame's steps without rendering"]
+    estimate_ms: Annotated[
+        dict[str, float],
+        "by estimator, of one estimate, median over frames; the chosen one makes those of a frame together",
+    ] = field(default_factory=dict)
     payload_bytes: Annotated[int, "sent"]
     mean_latency_ms: Annotated[float | None, "of the estimates that arrive"] = None
     n_lost: Annotated[int, "estimates that never arrived"] = 0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import statistics
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
@@ -116,7 +117,7 @@ def assemble(
         frames=tuple(frames),
         lights={name: tuple(of_one) for name, of_one in lights.items()},
         comparison=comparison,
-        summary=_summary(frames, comparison, run.sample_count.pilot_s),
+        summary=_summary(frames, comparison, run.sample_count.pilot_s, run.settings.estimator),
         notes=tuple(notes(run, frames, phone) if recording is None else recorded_notes(run, frames, recording)),
         warnings=tuple(warnings(run, frames) if recording is None else recorded_warnings(run)),
         recording=recording,
@@ -180,9 +181,9 @@ def _mean_comparison(frames: Sequence[records.FrameResult]) -> dict[str, records
 
 
 def _summary(
-    frames: Sequence[records.FrameResult], comparison: Mapping[str, records.Metrics], pilot_s: float
+    frames: Sequence[records.FrameResult], comparison: Mapping[str, records.Metrics], pilot_s: float, estimator: str
 ) -> records.Summary:
-    """The run in a few numbers."""
+    """The run of `estimator` in a few numbers."""
     active, captured = ([one for one in frames if getattr(one, kind)] for kind in ("active", "captured"))
     probes = [probe for frame in active for probe in frame.probes]
     compared = [frame.compared for frame in frames if frame.compared is not None]
@@ -212,6 +213,7 @@ def _summary(
         n_capped_probes=sum(light.is_capped for light in lights),
         mean_coverage=mean(probe.coverage for probe in probes),
         mean_step_ms=mean(sum(frame.stage_ms.values()) for frame in active),
+        estimate_ms=_estimate_ms(active, estimator),
         payload_bytes=sum(probe.payload_bytes for probe in probes),
         mean_latency_ms=mean(probe.latency_ms for probe in probes if probe.fired),
         n_lost=sum(probe.fired and probe.latency_ms is None for probe in probes),
@@ -237,3 +239,14 @@ def _summary(
         },
         pilot_s=pilot_s,
     )
+
+
+def _estimate_ms(frames: Sequence[records.FrameResult], estimator: str) -> dict[str, float]:
+    """Of one estimate, by estimator: the median over the frames that made some."""
+    times: dict[str, list[float]] = defaultdict(list)
+    for frame in frames:
+        n_made = sum(probe.fired and probe.is_valid for probe in frame.probes)
+        if n_made:
+            for name, ms in ({estimator: frame.stage_ms.get("estimate", 0.0)} | frame.others_ms).items():
+                times[name].append(ms / n_made)
+    return {name: statistics.median(each) for name, each in times.items()}

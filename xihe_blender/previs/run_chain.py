@@ -129,6 +129,10 @@ class _Walk:
         for of_position in (self.session.controller.out_of_view_ms, *(one.stage_ms for one in reports.values())):
             for stage, ms in of_position.items():
                 stage_ms[stage] += ms
+        others_ms: dict[str, float] = defaultdict(float)
+        for report in reports.values():
+            for name, ms in report.estimate.other_ms.items() if report.estimate else ():
+                others_ms[name] += ms
         left_out = invalid_pixels(seen)
         return FrameResult(
             frame=seen.frame,
@@ -139,6 +143,7 @@ class _Walk:
             render_s=rendered.render_s,
             work_s=work_s,
             stage_ms=stage_ms,
+            others_ms=others_ms,
             ambient_radiance=None if seen.ambient is None else as_rgb(seen.ambient),
             n_invalid_pixels=sum(left_out.values()),
             n_lost_pixels=n_lost,

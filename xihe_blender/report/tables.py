@@ -73,15 +73,17 @@ def _comparison(results: RunResults) -> str:
             *(column[i] for column in columns),
             _closer_cell(comparison, m),
             format_number(lights.get(m)),
+            format_quantity(results.summary.estimate_ms.get(m), "ms"),
         ]
         for i, m in enumerate(methods)
     ]
     heads = [f'{name}{unit}<span class="way">{_BETTER[way]}</span>' for name, way, unit in METRICS]
     light_head = f'SHC RMSE<span class="way">{_BETTER["down"]}</span>'
-    head = ["method", *heads, "rmse against <code>ambient</code>", light_head]
+    head = ["method", *heads, "rmse against <code>ambient</code>", light_head, "time of an estimate"]
     about = (
         "Averages over the compared frames, inside the virtual objects. psnr and ssim are taken on the sRGB pictures,"
-        " the others on linear colour. SHC RMSE is the error of the light's coefficients, over all frames."
+        " the others on linear colour. SHC RMSE is the error of the light's coefficients, over all frames. The time"
+        " is the median on this machine; <code>ambient</code> and <code>truth</code> estimate nothing."
     )
     star = "\N{BLACK STAR} marks the best method that a phone could run; <code>truth</code> is not one."
     honest = "No image metric tracks human preference: look at the pictures before you trust a ranking."
