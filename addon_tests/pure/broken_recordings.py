@@ -117,7 +117,7 @@ def wired(colour, plane_depth, confidence=None, missing="without colour or depth
     if confidence:
         cases |= {
             "confidence is garbage": (put(confidence, GARBAGE), "expected an image"),
-            "confidence is missing": (remove(confidence), NOTE + "1 frame without confidence: all depth is used there"),
+            "confidence is missing": (remove(confidence), NOTE + "1 frame has no confidence: all of its depth is used"),
         }
     return cases
 
@@ -282,7 +282,7 @@ RECORD3D = {
     "one K for all": (metadata(perFrameIntrinsicCoeffs=None), READ),
     "colour is missing": (member("rgbd/1.jpg", None), NOTE + "1 frame without colour, depth or a pose"),
     "depth is missing": (member(DEPTH, None), NOTE + "1 frame without colour, depth or a pose"),
-    "confidence is missing": (member(CONF, None), NOTE + "1 frame without confidence: all depth is used there"),
+    "confidence is missing": (member(CONF, None), NOTE + "1 frame has no confidence: all of its depth is used"),
     "K row by row": (
         metadata(perFrameIntrinsicCoeffs=None, K=[160, 0, 128, 0, 160, 96, 0, 0, 1]),
         NOTE + "In 3 frames the principal point lies at the edge of the picture or outside of it, at 0, 0 of 256x192 "

@@ -329,7 +329,9 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             sentence(context, layout, missing_run(settings.run_folder))
             return
         if settings.run_made_of:
-            sentence(context, layout, f"Of the scene as it was at {settings.run_made_of}", icon="INFO")
+            sentence(
+                context, layout, f"These results are of the scene as it was at {settings.run_made_of}", icon="INFO"
+            )
         if not run.summary.n_active_frames:
             sentence(context, layout, "No virtual object was in view of the camera in any frame", icon="ERROR")
         for said in shown_warnings(run):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from xihe_blender.lab.paper.records import Row, Study, StudyResult, Work
-from xihe_blender.lab.paper.tables import LIST_HEAD, table_lines
+from xihe_blender.lab.paper.tables import LIST_HEAD, NO_SPREAD, table_lines
 from xihe_blender.report.document import block, document, png_url, table
 from xihe_blender.report.values import code, escape
 from xihenet import svg
@@ -33,6 +33,7 @@ FEW_ROOMS = (
     "Over two rooms an interval can hold the true figure in at most 50 % of all cases, over three in 75 %, over five "
     "in 94 %."
 )
+ALIKE = f"Where all cases are alike there is {NO_SPREAD}."
 N_COLOURS = 6
 
 
@@ -64,7 +65,7 @@ def _how(results: Sequence[StudyResult], command: str) -> str:
     return (
         f"<p>Measured on {format_list(days)} on {escape(format_list(machines))}, in {seconds} without recording. "
         "The paper: Xihe, a 3D vision-based lighting estimation framework for mobile augmented reality, Zhao and Guo, "
-        f"MobiSys 2021. {FEW_ROOMS}</p><pre>{escape(command)}</pre>"
+        f"MobiSys 2021. {FEW_ROOMS} {ALIKE}</p><pre>{escape(command)}</pre>"
     )
 
 
@@ -90,7 +91,7 @@ def _cells(row: Row) -> tuple[str, ...]:
     return (
         row.what,
         f"{format_number(row.value)} {row.unit}",
-        "counted" if row.low == row.high else f"{format_number(row.low)} to {format_number(row.high)}",
+        NO_SPREAD if row.low == row.high else f"{format_number(row.low)} to {format_number(row.high)}",
         f"{row.n:,} {row.cases}",
         of_paper,
         row.work,
@@ -154,7 +155,7 @@ def _markdown_lines(studies: Sequence[Study], results: dict[str, StudyResult], c
     yield from (f"That command makes this page. Measured on {format_list(days)} on {format_list(machines)}.", "")
     yield from (
         "In brackets stand the 95 % interval, by bootstrap over cases or over rooms where cases of a room are alike, "
-        f"and the paper's figure. {FEW_ROOMS} In italics stands what all figures of a table share: "
+        f"and the paper's figure. {FEW_ROOMS} {ALIKE} In italics stands what all figures of a table share: "
         "their unit, their number of cases, and how they compare with the paper's (*same work*; the same on *other "
         "data* or an *other machine*; *cannot be compared*). `--only NAME` measures one study alone; its name stands "
         "below the heading.",

@@ -13,6 +13,9 @@ from xihe_blender.lab.paper.records import Row
 from xihenet.formats import format_number
 
 LIST_HEAD = ("what", "ours", "95 % interval", "cases", "the paper", "work")
+NO_SPREAD = "no spread"
+"""Stands for an interval without a width: of bytes, or of cases that are all alike."""
+
 Table = Mapping[str, Mapping[str, Row]]
 """By line and column."""
 
@@ -78,7 +81,7 @@ def _facts(row: Row) -> tuple[str, str, str]:
 
 def _cell(row: Row, said: Sequence[str]) -> str:
     """The figure and what is known of it, but for what is `said` already."""
-    around = ["counted" if row.low == row.high else f"{format_number(row.low)} to {format_number(row.high)}"]
+    around = [NO_SPREAD if row.low == row.high else f"{format_number(row.low)} to {format_number(row.high)}"]
     around += [] if row.paper is None else [f"paper {format_number(row.paper)}"]
     around += [fact for fact in _facts(row) if fact not in said]
     return f"{format_number(row.value)} ({'; '.join(around)})"

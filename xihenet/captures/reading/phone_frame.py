@@ -80,7 +80,8 @@ def read_confidence(path: Path, field: tuple[int, int]) -> ArrayU8:
 def without_confidence(are_there: Sequence[bool]) -> tuple[str, ...]:
     """A note of how many frames of a recording that stores confidence have none."""
     n_missing = len(are_there) - sum(are_there)
-    return (f"{n_frames(n_missing)} without confidence: all depth is used there.",) if n_missing else ()
+    has, its = ("has", "its") if n_missing == 1 else ("have", "their")
+    return (f"{n_frames(n_missing)} {has} no confidence: all of {its} depth is used.",) if n_missing else ()
 
 
 def confidence_levels(stored: ArrayU8) -> ArrayU8:
