@@ -13,6 +13,7 @@ from xihe_blender.addon.runs_folder import last_budget, shown_runs
 from xihe_blender.io.budget_results import PARTS, BudgetPart, ObjectBudget
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.error_budget import error_budget
+from xihe_blender.report.budget import _of_object
 
 
 @pytest.fixture(autouse=True)
@@ -88,3 +89,10 @@ def test_an_object_that_nothing_would_help_is_told():
     item = ObjectBudget(name="Ball", moments=(1,), brightness=1.0, error=0.5, parts=parts)
     assert item.advice.startswith("No single part would help Ball much")
     assert "never in view" in ObjectBudget(name="Ball", moments=()).advice
+
+
+def test_an_object_in_the_dark_is_told_so_and_has_no_bars():
+    parts = (BudgetPart(name="network", state="measured", error=0.0, gain=0.0, interval=(0.0, 0.0)),)
+    item = ObjectBudget(name="Ball", moments=(1,), brightness=0.0, error=0.0, parts=parts)
+    assert item.advice == "No light reaches Ball, so that its light has no error to divide."
+    assert budget_rows(item) == [] and _of_object(item) == f"<p>{item.advice}</p>"

@@ -86,11 +86,12 @@ def shown_object(budget: BudgetResults, active: str) -> ObjectBudget:
 def budget_rows(item: ObjectBudget) -> list[tuple[str, float, str]]:
     """Part, share of the error that a perfect one would take off, 0 to 1, and that in words; the largest first.
 
-    A part that may help or harm has no bar.
+    A part that may help or harm has no bar; an object that was never in view, or that no light reaches, has no row.
     """
     from xihe_blender.io.budget_results import PARTS
 
-    return [(PARTS[part.name].label, *_bar(part, item.error or 0.0)) for part in item.largest_first]
+    parts = item.largest_first if item.brightness else ()
+    return [(PARTS[part.name].label, *_bar(part, item.error or 0.0)) for part in parts]
 
 
 def _bar(part: BudgetPart, error: float) -> tuple[float, str]:

@@ -110,8 +110,10 @@ class ObjectBudget:
     @property
     def advice(self) -> str:
         """What would help most, in a sentence."""
-        if self.error is None or not self.brightness:
-            return f"{self.name} was never in view, or no light reaches it: nothing can be said."
+        if self.error is None:
+            return f"{self.name} was never in view, so that nothing is known of its error."
+        if not self.brightness:
+            return f"No light reaches {self.name}, so that its light has no error to divide."
         now = format_percent(self.relative(self.error))
         if not self.best:
             surely = "surely " if self._may_help_more(0.0) else ""

@@ -41,7 +41,7 @@ def _opening(results: BudgetResults) -> str:
 
 
 def _of_object(item: ObjectBudget) -> str:
-    if item.error is None:
+    if not item.brightness:
         return f"<p>{escape(item.advice)}</p>"
     return f'<div class="plots">{_bars(item)}</div>{_least_squares(item)}{_table(item)}'
 
@@ -110,7 +110,7 @@ def _least_squares(item: ObjectBudget) -> str:
 
 
 def _table(item: ObjectBudget) -> str:
-    head = ["part", "error with it perfect", "taken off", "95 % interval", "error of the brightness"]
+    head = ["part", "error with it perfect", "taken off", "95 % interval", "error, as a share of the brightness"]
     rows = [["as it was", format_number(item.error), "", "", format_percent(item.relative(item.error or 0.0))]]
     rows += [_row(item, part) for part in item.largest_first]
     rows += [[PARTS[p.name].label, "not simulated", "", "", ""] for p in item.parts if p.state == "not simulated"]
