@@ -18,12 +18,12 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.kept_files import DAMAGED
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.choices import render_choices
+from xihe_blender.lab.frontier.choices import QUICK, render_choices
 from xihe_blender.lab.frontier.pictures import LIGHTS, kept_pictures, picture_choices
 from xihe_blender.lab.frontier.points import family, group, groups, kept_scene
-from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, StudySize
+from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.rendering import kept_round
-from xihe_blender.lab.frontier.study import frontier, kept_preparation, kept_truths, survey_scene
+from xihe_blender.lab.frontier.study import exhaustive_render, frontier, kept_preparation, kept_truths, survey_scene
 from xihe_blender.previs.settings import PRESETS
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.io.json_files import read_json
@@ -75,8 +75,15 @@ def read(folder):
     return found
 
 
+@pytest.mark.parametrize(("accurate", "exhaustive"), [(24, 96), (72, 144), (256, 512)])
+def test_no_preset_is_held_against_a_render_that_is_noisier_than_itself(accurate, exhaustive):
+    presets = {name: RenderChoice((32, 24), n) for name, n in (("draft", 8), ("accurate", accurate))}
+    assert exhaustive_render((32, 24), QUICK, presets) == RenderChoice((32, 24), exhaustive)
+
+
 def test_a_small_frontier_keeps_its_contract(done):
     found = read(done)
+    assert found.scenes[0].exhaustive_samples == 8
     kinds = {(front, kind) for _, front, kind in groups(found.points)}
     against = ("coefficients", "irradiance")
     assert {(front, kind) for front in ("render", "compute", "total") for kind in against} <= kinds
@@ -105,6 +112,7 @@ def test_table_and_report_hold_all_and_ask_for_nothing_else(done):
         and "Do objects need a key light and reflections?" in page
         and page.count('class="plot wide"') >= 8
     )
+    assert "4 samples at accurate; in the exhaustive render it has 8." in page
     assert "http://" not in page and "src=" not in page
 
 

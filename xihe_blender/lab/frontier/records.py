@@ -92,7 +92,7 @@ class StudySize:
     n_rounds: Annotated[int, "in which each way to compute is timed"]
     n_views: Annotated[int, "frames in which each way to render is measured"]
     n_seeds: Annotated[int, "of each render in each of them"]
-    reference_samples: Annotated[int, "of the exhaustive render"]
+    reference_samples: Annotated[int, "of the exhaustive render, at least; twice those of any preset besides"]
     ladder: Annotated[tuple[int, ...], "samples that are measured"]
     n_picture_views: Annotated[int, "frames whose pictures are compared; 0 compares none"]
 
@@ -187,6 +187,7 @@ class FrontierScene:
     n_places: Annotated[int, "in them; a place is a position in a frame"]
     views: Annotated[tuple[int, ...], "frames in which rendering was measured"]
     presets: Annotated[dict[str, RenderChoice], "what they are on this scene"]
+    exhaustive_samples: Annotated[int | None, "of the exhaustive render; None in older files"] = None
 
 
 @dataclass(frozen=True, kw_only=True)

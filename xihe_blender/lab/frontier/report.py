@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from xihe_blender.lab.frontier.points import CHOICES, family, format_choice, format_dominated, group, groups
-from xihe_blender.lab.frontier.records import Frontier, FrontierPoint
+from xihe_blender.lab.frontier.records import Frontier, FrontierPoint, FrontierScene
 from xihe_blender.report.document import block, document, table
 from xihe_blender.report.values import escape
 from xihenet import svg
@@ -19,7 +19,11 @@ from xihenet.svg import Axis, log_axis
 
 LAB_STYLE = Path(__file__).parents[1] / "lab.css"
 FRONTS = {
-    "total": ("Rendering and computing together", "What a frame of a run takes: its capture, and the chain on it."),
+    "total": (
+        "Rendering and computing together",
+        "The capture of a frame, and the chain on it; for pictures the comparison as well. A run renders more: light "
+        "probes, and compared pictures, which take most of its time.",
+    ),
     "render": ("Rendering", "The capture of a frame, and for pictures the comparison as well."),
     "compute": ("Computing", "What a phone would do: unproject to estimate, mean over the frames of a walk."),
 }
@@ -67,12 +71,21 @@ def _scene(frontier: Frontier, name: str) -> str:
         f"<dt>{escape(one.question)}</dt><dd>{escape(one.answer)}</dd>" for one in frontier.answers if one.scene == name
     )
     tables = "".join(_numbers(group(points, name, front, kind), front, kind) for front, kind in fronts)
+    samples = _samples(next(scene for scene in frontier.scenes if scene.name == name))
     return (
-        f'<div class="plots">{opening}</div>'
+        f'<p>{samples}</p><div class="plots">{opening}</div>'
         + block("In words", f'<dl class="answers">{answered}</dl>')
         + f'<div class="plots">{"".join(others)}</div><h3 class="apart">Choice by choice</h3>'
         f'{_choices(points, name)}<h3 class="apart">All that was measured</h3>{tables}'
     )
+
+
+def _samples(scene: FrontierScene) -> str:
+    """How many samples each preset takes, and the render that they are held against."""
+    counts = [f"{choice.samples} samples at {name}" for name, choice in scene.presets.items()]
+    most = scene.exhaustive_samples
+    exhaustive = "" if most is None else f"; in the exhaustive render it has {most}"
+    return f"In this room a pixel of a capture has {format_list(counts)}{exhaustive}."
 
 
 def _choices(points: Sequence[FrontierPoint], scene: str) -> str:

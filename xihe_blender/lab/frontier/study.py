@@ -41,6 +41,7 @@ from xihe_blender.lab.frontier.records import (
     FrontierScene,
     FrontierSettings,
     RenderChoice,
+    StudySize,
 )
 from xihe_blender.lab.frontier.rendering import (
     RenderStudy,
@@ -76,6 +77,10 @@ COLUMNS = (
 
 PROBE_NOISE = 0.02
 """Of the reference lights that estimates are held against, which are off by ten times as much."""
+
+EXHAUSTIVE_OVER_PRESETS = 2
+"""Samples of the exhaustive render over those of any preset, at least: `accurate` takes up to 256 in noisy rooms, whose
+noise then makes its error a fifth too large; against 96 it would be nearly twice what it is."""
 
 SHARES = {"preparing": 0.10, "walking": 0.15, "computing": 0.15, "rendering": 0.4, "pictures": 0.2}
 """About how long each part takes, for the time left."""
@@ -172,7 +177,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
                 capture=capture,
                 views={frame.frame: [walk.positions[name] for name in names] for frame, names in seen},
                 choices=render_choices(presets, size, study_size, is_quick=settings.is_quick),
-                exhaustive=RenderChoice(size, study_size.reference_samples),
+                exhaustive=exhaustive_render(size, study_size, presets),
             )
             medians = [median_and_spread(one.times_ms)[0] for one in computed]
             computing_ms = dict(zip(backends, medians, strict=True))
@@ -191,10 +196,19 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
         n_places=walk.n_places,
         views=tuple(renders.views),
         presets=dict(presets),
+        exhaustive_samples=renders.exhaustive.samples,
     )
     yield Progress(done, 1, "measured")
     render, total = (*rendered, *pictured), (*together, *with_computing)
     return MeasuredScene(fronts={"render": render, "compute": tuple(computed), "total": total}, scene=measured)
+
+
+def exhaustive_render(
+    size: tuple[int, int], study_size: StudySize, presets: Mapping[str, RenderChoice]
+) -> RenderChoice:
+    """Of frames of `size`; no preset may be held against a render that is noisier than itself."""
+    most = max(choice.samples for choice in presets.values())
+    return RenderChoice(size, max(study_size.reference_samples, EXHAUSTIVE_OVER_PRESETS * most))
 
 
 def prepare(study: SceneStudy) -> Job[Prepared]:
