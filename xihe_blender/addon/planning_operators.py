@@ -70,7 +70,10 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
 class XIHE_OT_calibrate(Measuring, bpy.types.Operator):
     bl_idname = "xihe.calibrate"
     bl_label = "Calibrate"
-    bl_description = "Render a few small pictures of this scene to find out what each Quality costs on this machine"
+    bl_description = (
+        "Render a few small pictures of this scene to find out what capturing a frame takes at each Quality on this "
+        "machine. Compared pictures take most of a run: How Long? counts them too"
+    )
 
     def start_job(self, context: bpy.types.Context) -> Job[Any]:
         from xihe_blender.addon.run_settings import previs_settings
