@@ -19,6 +19,7 @@ from xihe_blender.lab.batch.answers import (
 from xihe_blender.lab.batch.report import report_page
 from xihe_blender.lab.batch.results import BatchFolder
 from xihe_blender.lab.frontier.records import Answer, ComputeChoice, FrontierPoint, PointSettings
+from xihenet.formats import DASH
 
 ERROR, PICTURE = MEASURES
 
@@ -101,6 +102,15 @@ def test_the_page_is_one_file_with_its_pictures(tmp_path):
     questions = ("Which estimator", "better phone", "How often", "How many anchors", "last 10\u202f%", "Worst cases")
     assert all(question in page for question in questions)
     assert not re.search(r"\bnan\b", plain(page)) and page == report_page(folder, results(trials), None)
+
+
+def test_the_time_of_a_step_stands_beside_the_error_of_each_estimator(tmp_path):
+    trials = [replace(trial(estimator=name, error=0.25), number=k) for k, name in enumerate(("lattice", "ambient"))]
+    whole = results(trials)
+    units = tuple(replace(unit, step_ms=(4.25, None)) for unit in whole.units)
+    page = report_page(folder_with_pictures(tmp_path, trials), replace(whole, units=units), None)
+    told = re.findall(r'"time of a step, median"><span>(.*?)</span>', page)
+    assert told == ["4.25\u202fms", DASH]
 
 
 def test_names_of_scenes_cannot_break_the_page(tmp_path):

@@ -6,6 +6,7 @@ Made from results.json and the pictures of worst frames alone, never from Blende
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def report_page(folder: BatchFolder, results: BatchResults, frontier: Frontier |
     if trials:
         lead = answers.what_it_stands_on(trials)
         sections += [
-            ("estimator", "Which estimator should I ship?", _estimators(trials)),
+            ("estimator", "Which estimator should I ship?", _estimators(trials, results.units)),
             ("phone", "Is a better phone worth it?", _phones(trials)),
             ("often", "How often must it run?", _how_often(trials)),
             *_from_frontier(frontier),
@@ -66,10 +67,23 @@ def _answered(words: str, *plots: str) -> str:
 # ----------------------------------------------------------------------------------------------------- the questions
 
 
-def _estimators(trials: Sequence[Trial]) -> str:
+def _estimators(trials: Sequence[Trial], units: Sequence[UnitRow]) -> str:
     drawn = [_distribution(trials, measure) for measure in MEASURES]
     drawn += [_against_the_best(trials, measure) for measure in MEASURES]
-    return _answered(answers.which_estimator(trials), *drawn) + _pairs_table(trials)
+    return _answered(answers.which_estimator(trials), *drawn) + _times_table(trials, units) + _pairs_table(trials)
+
+
+def _times_table(trials: Sequence[Trial], units: Sequence[UnitRow]) -> str:
+    """What each estimator's error costs in time."""
+    step_ms, rows = {unit.unit: unit.step_ms for unit in units}, []
+    for name in answers.names_of(trials, "estimator"):
+        own = [step_ms[trial.unit][trial.number] for trial in answers.chosen(trials, estimator=name)]
+        known = [ms for ms in own if ms is not None]
+        time = format_quantity(statistics.median(known) if known else None, "ms")
+        rows.append((code(name), _mean_error(trials, estimator=name), time))
+    about = "A step is the chain from unproject to estimate at one position in a frame; rendering is not in it."
+    head = ("estimator", "mean coefficient error", "time of a step, median")
+    return f'{table(head, rows, "stacking")}<p class="quiet">{about}</p>'
 
 
 def _distribution(trials: Sequence[Trial], measure: Measure) -> str:
