@@ -90,6 +90,12 @@ def test_other_places_in_the_same_room_cost_no_render(copied, scene):
     assert {place.position_m[2] for place in in_the_air.places} == {1.0}
 
 
+def test_a_grid_in_the_air_that_fits_no_memory_is_refused_where_it_was_asked_for_and_else_made_coarser(copied, scene):
+    with pytest.raises(UserError, match="1e-06 m apart are too many: give a larger spacing"):
+        mapped(scene, copied, wanted=PlacementSettings(height_m=1.0, spacing_m=1e-6))
+    assert mapped(scene, copied, wanted=PlacementSettings(height_m=1.0, reach_m=1e9, most=50)).places
+
+
 @pytest.mark.parametrize("most", [1, 10])
 def test_no_more_places_than_wanted(scene, copied, most):
     results = mapped(scene, copied, wanted=PlacementSettings(most=most))

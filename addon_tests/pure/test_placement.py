@@ -86,6 +86,23 @@ def test_places_in_the_air_are_those_that_the_phone_looks_through():
     assert not len(air_places([looking_at(2.0)], 2.5, 0.2)), "behind the phone"
 
 
+def test_places_in_the_air_are_the_same_whether_the_seen_ends_at_the_wall_or_at_a_mountain_far_away():
+    frames, wide = (
+        [looking_at(2.0), looking_at(2.0, place=(0.6, 0.2, 2.0))],
+        np.array([[-1e6, -1e6], [1e6, 1e6]]) - 0.07,
+    )
+    places = air_places(frames, 1.0, 0.05, extent_m=wide)
+    assert len(places) > 300
+    # Of the same grid, as wide as they reach.
+    low = wide[0] + 0.05 * np.round((np.array([-8.0, -8.0]) - wide[0]) / 0.05)
+    np.testing.assert_allclose(air_places(frames, 1.0, 0.05, extent_m=np.array([low, [8, 8]])), places, atol=1e-6)
+
+
+def test_more_places_in_the_air_than_fit_memory_are_refused():
+    with pytest.raises(ValueError, match="places 1e-06 m apart are too many: give a larger spacing"):
+        air_places([looking_at(2.0)], 1.0, 1e-6)
+
+
 def test_the_correlation_of_ranks_is_that_of_order_alone():
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=(2, 40))

@@ -163,7 +163,12 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
     fewest: tuple[ArrayF64, float] | None = None
     for spacing_m in _spacings(wanted):
         yield Progress(0, 1, "looking for places")
-        found = find(spacing_m)
+        try:
+            found = find(spacing_m)
+        except ValueError as error:  # Too many places to look at.
+            if wanted.spacing_m is not None:
+                raise UserError(str(error)) from error
+            continue
         # Where cells are smaller than pixels are apart, wider ones have more places.
         if best is not None and len(found) < len(best[0]):
             break

@@ -25,6 +25,9 @@ FEWEST_PIXELS = 4
 FEWEST_RANKED = 8
 """Pairs of a rank correlation from which on its interval holds the truth as often as it says."""
 
+MOST_IN_AIR = 10_000_000
+"""Places of a grid that are looked at: more fit no memory."""
+
 REACH_M = 5.0
 """From the camera: a phone's LiDAR sees no farther, and a garden behind a window is no place for an object."""
 
@@ -120,12 +123,21 @@ def air_places(
     """(K, 3) world, metres: a grid at z = `height_m` where a frame looks through free air within `reach_m`.
 
     In order of y, then x, within `extent_m`, that of the frames if it is None. Empty is legal. ValueError for a spacing
-    that is not positive.
+    that is not positive, or so small that more than MOST_IN_AIR places would be looked at.
     """
     if not spacing_m > 0:
         raise ValueError(f"air_places: expected a positive spacing, got {spacing_m}")
+    if not frames:
+        return np.zeros((0, 3))
     low, high = seen_extent(frames) if extent_m is None else extent_m
-    x, y = (np.arange(a + spacing_m / 2, b, spacing_m) for a, b in zip(low, high, strict=True))
+    # The seen may go on for kilometres, of which nothing is within reach.
+    cameras_m = np.array([frame.world_from_camera[:2, 3] for frame in frames])
+    begin = np.ceil((cameras_m.min(axis=0) - reach_m - low) / spacing_m - 0.5).clip(min=0)
+    end = np.ceil((np.minimum(high, cameras_m.max(axis=0) + reach_m) - low) / spacing_m - 0.5)
+    n_looked_at = float((end - begin).clip(min=0).prod())
+    if not n_looked_at <= MOST_IN_AIR:
+        raise ValueError(f"{n_looked_at:.2g} places {spacing_m:g} m apart are too many: give a larger spacing")
+    x, y = (a + spacing_m * (np.arange(*ends) + 0.5) for a, *ends in zip(low, begin, end, strict=True))
     grid = np.stack([*(part.ravel() for part in np.meshgrid(x, y)), np.full(len(x) * len(y), height_m)], axis=1)
     is_free = np.zeros(len(grid), bool)
     for frame in frames:
