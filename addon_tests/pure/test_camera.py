@@ -14,6 +14,8 @@ from xihenet.camera import (
 )
 from xihenet.colour import srgb_to_linear
 from xihenet.records import Intrinsics
+from xihenet.sampling import sample_unit_sphere
+from xihenet.sphere import AnchorLattice
 
 
 def random_camera(rng, width=17, height=11):
@@ -43,6 +45,18 @@ def test_camera_looks_down_minus_z_with_row_zero_on_top():
     np.testing.assert_allclose(points[1, 1], [0, 0, -2])
     np.testing.assert_allclose(points[0, 1], [0, 2, -2])
     np.testing.assert_allclose(points[1, 2], [2, 0, -2])
+
+
+@pytest.mark.parametrize(
+    ("fx", "fy", "cx"), [(5e-324, 1, 2), (1e-300, 1, 2), (1, 1e-42, 2), (1, 1, -1e300), (1e300, 1e300, 2), (1, 1, 1e30)]
+)
+def test_rays_that_no_float_can_hold_give_points_that_are_left_out_and_counted(fx, fy, cx):
+    depth = np.where(np.eye(4) > 0, 0.0, 2.0)
+    cloud = unproject_frame(frame_of(depth, Intrinsics(4, 4, fx, fy, cx, 2.0)))
+    sampled = sample_unit_sphere(cloud, [0.0, 0.1, -1.0], AnchorLattice(64))
+    n_finite = np.isfinite(cloud.points_m).all(axis=1).sum()
+    assert n_finite + sampled.n_invalid_points == 16
+    assert sampled.surfaces is not None and np.isfinite(sampled.surfaces.facing).all()
 
 
 def test_points_behind_the_camera_are_not_in_view():

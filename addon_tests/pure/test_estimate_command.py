@@ -169,6 +169,12 @@ def test_a_position_outside_of_the_view_is_estimated_with_a_warning(exr, answer)
     assert said == "xihe: warning: 0,-2,0 is not in the frame's view: its light is estimated from other surfaces\n"
 
 
+def test_a_position_so_far_that_nothing_is_seen_from_there_is_told_so(exr, answer):
+    content, said = answer(*exr, "--at", "1e39,0,0")
+    assert not content["positions"][0]["is_valid"]
+    assert said == "xihe: warning: the light at 1e+39,0,0 cannot be known: no surface was seen from there\n"
+
+
 def test_a_position_behind_what_is_seen_there_is_estimated_with_a_warning(exr, answer):
     # The wall is at 3 m: what lies in it, or behind it by less than sensors err, is let pass.
     content, said = answer(*exr, "--at", "0,4,0", "--at", "0,3,0", "--at", "0,3.25,0")

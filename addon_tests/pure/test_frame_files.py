@@ -140,6 +140,7 @@ def test_broken_pixels_disturb_neither_metering_nor_the_rest_of_the_frame(tmp_pa
         (dict.fromkeys("RGB", PLANE_DEPTH_M) | {"Z": PLANE_DEPTH_M * 0}, "no pixel has a valid plane depth"),
         (dict.fromkeys("RGB", PLANE_DEPTH_M) | {"Z": PLANE_DEPTH_M * np.nan}, "no pixel has a valid plane depth"),
         (dict.fromkeys("RGB", PLANE_DEPTH_M) | {"Z": PLANE_DEPTH_M + 1e10}, "no pixel has a valid plane depth"),
+        (dict.fromkeys("RGB", PLANE_DEPTH_M * np.nan) | {"Z": PLANE_DEPTH_M}, "the colour is NaN wherever there is"),
         (dict.fromkeys("RGBZ", PLANE_DEPTH_M[:, :20]), "the intrinsics are for 32x24"),
     ],
 )

@@ -214,7 +214,9 @@ def warnings_about(frame: RgbdFrame, placed: list[PlacedEstimate]) -> list[str]:
     lines = [] if doubt is None else [doubt]
     for one in placed:
         where = _format_position(one.position_m)
-        if not one.is_in_view:
+        if not one.light.is_valid:
+            lines.append(f"the light at {where} cannot be known: {format_reason(one.light.unknown_because)}")
+        elif not one.is_in_view:
             lines.append(f"{where} is not in the frame's view: its light is estimated from other surfaces")
         elif one.behind_m:
             lines.append(

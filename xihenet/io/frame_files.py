@@ -227,6 +227,8 @@ def _frame(
     """
     plane_depth_m, invalid = measured
     if not valid_plane_depth(plane_depth_m).any():
+        if invalid.get("colour_not_finite"):
+            raise ValueError(f"{source}: the colour is NaN wherever there is a plane depth: render or export it again")
         raise ValueError(
             f"{source}: no pixel has a valid plane depth (all are 0, negative, not finite or misses): {fix}"
         )
