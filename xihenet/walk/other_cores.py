@@ -3,7 +3,8 @@
 Helpers are plain interpreters that run this module: they get the walk and then one batch of places after the other
 through a pipe, and know no Blender. Threads were rejected, since the chain is many short NumPy calls that wait for one
 another. Nothing depends on a helper: what one that cannot start, ends or hangs does not answer, this process finds.
-Light is the same whoever finds it, up to rounding: a helper adds in one thread, this process perhaps in several.
+Light is the same whoever finds it, to the last bit: a helper has one thread and this process several, but no estimator
+of ours adds in another order for that.
 """
 
 from __future__ import annotations
