@@ -28,8 +28,10 @@ from xihe_blender.apply.datablocks import world_name
 from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, sun_name
 from xihe_blender.apply.reflection_pictures import reflect_in_world, reflect_on_timeline
 from xihe_blender.apply.sh_worlds import key_light_changes, make_sh_world
+from xihe_blender.footage.scan_object import add_scan
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.run_lights import LightsAsked
+from xihenet.captures.scan import ScanMesh
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight
 
@@ -96,6 +98,19 @@ def test_pictures_that_are_reflected_have_their_own_colours(change_working_space
     reflect_on_timeline(scene.world, {1: tmp_path / "0_Ball_0001.exr"})
     scene.frame_set(1)
     np.testing.assert_allclose(rendered(scene, (8, 8), 1)[4, 4], MIRROR * np.array(ORANGE), rtol=1e-3)
+
+
+@since_blender_5
+def test_the_scan_of_a_recording_has_its_own_colours(change_working_space):
+    scene = empty_scene()
+    change_working_space()
+    corners = np.float32([(-1, 1, -1), (1, 1, -1), (1, 1, 1), (-1, 1, 1)])
+    scan = add_scan("Scan", ScanMesh(corners, np.array([[0, 1, 2, 3]]), np.tile(np.float32(ORANGE), (4, 1))), 1.0)
+    scan.is_shadow_catcher = False
+    scene.collection.objects.link(scan)
+    set_world(scene, (1.0, 1.0, 1.0))
+    phone(scene, (0, 0, 0), (0, 1, 0))
+    np.testing.assert_allclose(rendered(scene, (8, 8), 16)[4, 4], ORANGE, atol=0.01)
 
 
 @since_blender_5

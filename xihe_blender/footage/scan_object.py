@@ -8,6 +8,7 @@ import numpy as np
 from xihe_blender.scene.mesh_arrays import fill_mesh
 from xihe_blender.scene.phone_capture import SCAN
 from xihe_blender.scene.shader_nodes import new_material
+from xihe_blender.scene.working_space import in_working_space
 from xihenet.captures.capture import Capture
 from xihenet.captures.scan import ScanMesh
 
@@ -39,7 +40,7 @@ def add_scan(name: str, scan: ScanMesh, unit_m: float) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(name)
     fill_mesh(mesh, scan.points_m / np.float32(unit_m), scan.quads.ravel(), 4 * np.arange(len(scan.quads)))
     colours = mesh.color_attributes.new(COLOURS, "BYTE_COLOR", "POINT")
-    opaque = np.column_stack([scan.colours.clip(0, 1), np.ones(len(scan.colours), np.float32)])
+    opaque = np.column_stack([in_working_space(scan.colours.clip(0, 1)), np.ones(len(scan.colours), np.float32)])
     colours.data.foreach_set("color", opaque.astype(np.float32).ravel())  # Linear; Blender encodes it
     mesh.materials.append(_showing_colours(name))
     item = bpy.data.objects.new(name, mesh)
