@@ -400,6 +400,18 @@ def test_light_of_a_library_stays_as_it_is(library, tmp_path):
     assert sh_node_group().library is None
 
 
+@pytest.mark.skipif(bpy.app.version < (5, 0), reason="what is linked cannot be packed")
+def test_a_library_that_is_packed_is_not_read(tmp_path):
+    set_world(empty_scene(), (1.0, 0.5, 0.2))
+    path = str(saved(tmp_path / "sky.blend"))
+    scene = empty_scene()
+    for is_packed in (True, False):
+        with bpy.data.libraries.load(path, link=True, pack=is_packed) as (_, wanted):
+            wanted.worlds = ["Background"]
+        scene.world = wanted.worlds[0]
+        assert files_read() == ([] if is_packed else [path])
+
+
 def test_a_missing_library_is_named(library, tmp_path):
     link_all(shutil.copy(library[0], tmp_path))
     main = saved(tmp_path / "main.blend")

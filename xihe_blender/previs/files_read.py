@@ -51,9 +51,15 @@ def file_of(block: Any) -> str | None:
 def _blocks() -> Iterator[str]:
     """Libraries, pictures and films, volumes, fonts, and files of meshes that move (Alembic, USD)."""
     shown = (*_shown(bpy.data.images), *_shown(bpy.data.movieclips))
-    yield from filter(
-        None, map(file_of, (*bpy.data.libraries, *shown, *bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts))
-    )
+    others = (*_libraries(), *bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts)
+    yield from filter(None, map(file_of, (*shown, *others)))
+
+
+def _libraries() -> Iterator[bpy.types.Library]:
+    """Those of which something is not in the .blend itself: from Blender 5.0 on what is linked may be packed."""
+    for library in bpy.data.libraries:
+        if not all(getattr(block, "is_linked_packed", False) for block in library.users_id):
+            yield library
 
 
 def _shown(blocks: Any) -> Iterator[Any]:
