@@ -1,5 +1,7 @@
 """Does the plan switch every effect by what the scene calls for, as far as it is called for, and keep what it says?"""
 
+from functools import partial
+
 import bpy
 import numpy as np
 import pytest
@@ -117,6 +119,14 @@ def test_light_goes_on_behind_lamps_unless_the_user_wants_none_of_it():
     assert (left_out.state, left_out.parameters) == ("off", {"transparent_max_bounces": MAX_BOUNCES})
     assert unwanted.parameters == {"transparent_max_bounces": 0}
     assert plan_light_transport(stage(lamp=False))["transparency"].parameters == {"transparent_max_bounces": 0}
+
+
+@pytest.mark.skipif(bpy.app.version < (5, 2), reason="the Principled shader has no thin walls")
+@pytest.mark.parametrize(("transmission", "expected"), [(1.0, "on"), (0.0, "off")])
+def test_light_of_lamps_goes_straight_through_a_thin_wall_that_transmits(transmission, expected):
+    """Without transparency a room behind such a pane is black where a panel shines through it."""
+    pane = partial(shader_look, "Pane", "BsdfPrincipled", Transmission_Weight=transmission, Thin_Wall=True)
+    assert state(with_ball(pane), "transparency") == expected
 
 
 def test_settings_of_the_plan_arrive_in_a_working_scene():

@@ -286,7 +286,9 @@ def _principled(node: Any, groups: Groups) -> Shading:
     interactions |= A.GLOSSY if may("Coat Weight") or may("Metallic") else A.NOTHING
     interactions |= _emitted(node, "Emission Color", "Emission Strength", groups)
     if not is_whole(node, "Metallic", groups):
-        interactions |= A.GLOSSY | A.REFRACTION if may("Transmission Weight") else A.NOTHING
+        if may("Transmission Weight"):
+            # To Cycles a smooth thin wall (from 5.2 on) is transparent to light on its way from lamps and the sky.
+            interactions |= A.GLOSSY | A.REFRACTION | (A.TRANSPARENT if may("Thin Wall") else A.NOTHING)
         if not is_whole(node, "Transmission Weight", groups):
             interactions |= _principled_base(node, groups)
     return Shading(interactions, _albedo(node, "Base Color", groups))
