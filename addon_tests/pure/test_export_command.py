@@ -133,6 +133,11 @@ def test_what_cannot_be_written_is_one_line_and_no_file(run, arguments, words):
     assert not (run / "exports").exists()
 
 
+def test_a_blend_in_place_of_a_run_is_to_be_given_as_a_file(run):
+    asked = xihe_here("export", run / "room_lit.blend", "--to", "three")
+    assert_refused(asked, "room_lit.blend is no run: give the run's RESULTS.json, or this file by --from")
+
+
 def test_results_of_another_version_a_lost_picture_and_a_lesser_light_are_one_line(run):
     (run / "seen.exr").unlink()
     assert_refused(xihe_here("export", run, "--to", "three"), "seen.exr cannot be read")

@@ -67,6 +67,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 def _folder(options: argparse.Namespace) -> Path:
     """Of the run."""
     given: Path = options.results
+    if given.suffix == ".blend":
+        raise UserError(f"{given} is no run: give the run's RESULTS.json, or this file by --from")
     return given.parent if given.name == "results.json" else given
 
 
