@@ -241,6 +241,19 @@ def test_an_instancing_empty_has_the_box_of_what_it_shows(scene):
     np.testing.assert_allclose(positions_of(empty), [[1.2, 0.0, 3.0]], atol=1e-6)
 
 
+@pytest.mark.parametrize(("bevel", "is_hidden"), [(0.05, False), (0.05, True), (0.0, False)])
+def test_a_curve_has_the_box_of_its_surface(scene, bevel, is_hidden):
+    curve = bpy.data.curves.new("Cable", "CURVE")
+    curve.dimensions, curve.bevel_depth = "3D", bevel
+    points = curve.splines.new("POLY").points
+    points.add(1)
+    points[1].co = (0.4, 0.0, 0.0, 1.0)
+    cable = add(scene, "Cable", curve, (1.0, 2.0, 3.0))
+    bpy.context.view_layer.update()
+    cable.hide_viewport = is_hidden
+    np.testing.assert_allclose(positions_of(cable), [[1.2, 2.0, 3.0]], atol=1e-6)
+
+
 def test_an_object_without_geometry_has_its_origin(scene):
     thing = add(scene, "Nothing", bpy.data.meshes.new("Nothing"), (1.0, 2.0, 3.0))
     np.testing.assert_allclose(positions_of(thing), [[1.0, 2.0, 3.0]])

@@ -23,6 +23,9 @@ SPACING_M = 1.0
 # A box of exactly n spacings is split in n, although its world corners carry float32 rounding.
 SPLIT_TOLERANCE = 1e-5
 
+RENDERED_TYPES = GEOMETRY_TYPES - {"CURVE"}
+"""Of instances: a curve's surface is a mesh beside it, and its own box is a unit too large on all sides."""
+
 MAX_POSITIONS = 1000
 """Of one object. Each gets a light probe in every frame; a shop of 100 x 10 m has as many."""
 
@@ -89,13 +92,22 @@ def world_box_corners(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
     evaluated = object.evaluated_get(depsgraph)
     if not boxes and object.type in GEOMETRY_TYPES:
         # Not among the instances: hidden in this view layer, which does not move it.
-        boxes = [_transformed(evaluated.bound_box, evaluated.matrix_world)]
+        corners = _corners_of_curve(evaluated) if object.type == "CURVE" else evaluated.bound_box
+        boxes = [_transformed(corners, evaluated.matrix_world)]
     return np.concatenate(boxes) if boxes else np.array([evaluated.matrix_world.translation], np.float64)
 
 
 def _belongs_to(instance: Any, object: bpy.types.Object) -> bool:
     source = instance.parent if instance.is_instance else instance.object
-    return source is not None and source.original == object and instance.object.type in GEOMETRY_TYPES
+    return source is not None and source.original == object and instance.object.type in RENDERED_TYPES
+
+
+def _corners_of_curve(evaluated: bpy.types.Object) -> Any:
+    """Two corners (2, 3) of what a curve puts into the render; (1, 3) its origin if nothing."""
+    mesh = evaluated.to_mesh()
+    places = [tuple(vertex.co) for vertex in mesh.vertices] if mesh is not None else []
+    evaluated.to_mesh_clear()
+    return [*zip(*((min(axis), max(axis)) for axis in zip(*places, strict=True)), strict=True)] or [(0.0, 0.0, 0.0)]
 
 
 def _transformed(corners: Any, world_from_object: Any) -> ArrayF64:
