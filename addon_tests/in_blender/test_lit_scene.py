@@ -108,6 +108,18 @@ def add_loose_edge(mesh):
     mesh.update()
 
 
+def test_a_background_set_hides_objects_and_is_not_shown_itself():
+    scene = room_with_a_virtual_sphere()
+    scene.background_set = bpy.data.scenes.new("Set")
+    box(scene.background_set, "Pillar", (0, 0, 0), (1, 1, 1))
+    ball = next(iter(virtual_collection(scene).objects))
+    lit = scene.copy()
+    lit.name, lit[ROOM] = LIT_SCENE, scene
+    set_up_lit_scene(lit, [ball], {"Ball": (ball.name, bpy.data.worlds[0])})
+    hide_behind_room(lit, scene, [ball])
+    assert lit.objects["Xihe Lit Pillar"].is_holdout and lit.background_set is None
+
+
 def test_what_falls_hides_objects_where_it_is():
     scene = room_with_a_virtual_sphere()
     sheet = box(scene, "Sheet", (0, 0, 9), (1, 1, 0.1))

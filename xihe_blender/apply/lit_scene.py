@@ -116,7 +116,8 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     render.resolution_x, render.resolution_y = (max(4, round(side * larger)) for side in frames.size)
     if CAPTURE not in lit:  # Renders have square pixels, a phone's need not be.
         render.pixel_aspect_x = render.pixel_aspect_y = 1.0
-    render.use_border = render.use_sequencer = False
+    for switch in ("use_border", "use_sequencer", "use_single_layer", "use_freestyle"):
+        setattr(render, switch, False)
     render.use_compositing = True
     lit.display_settings.display_device = "sRGB"
     view.view_transform, view.look, view.gamma, view.use_curve_mapping = "Standard", "None", 1.0, False
@@ -135,7 +136,7 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
     tidied: dict[bpy.types.ID, bpy.types.ID] = {}
     holder, has_catchers = bpy.data.collections.new(f"{LIT_SCENE} Room"), bool(shadow_catchers(lit))
     simulated = bpy.data.collections.new(f"{LIT_SCENE} Simulated")
-    for item in dict.fromkeys(_seen_in(room.view_layers[0].layer_collection)):
+    for item in dict.fromkeys(_seen_in_scene(room)):
         if SCAN in item and has_catchers:  # It is a catcher there, which would catch no shadow behind a copy.
             continue
         if _may_hide(item) and item.visible_camera and not item.is_holdout and item not in objects:
@@ -209,6 +210,13 @@ def _without_loose_edges(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
     edited.to_mesh(copied)
     edited.free()
     return copied
+
+
+def _seen_in_scene(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
+    """All that its first view layer renders, and those of the scenes that are set behind it."""
+    while scene is not None:
+        yield from _seen_in(scene.view_layers[0].layer_collection)
+        scene = scene.background_set
 
 
 def _seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
@@ -376,7 +384,7 @@ def set_up_lit_scene(
         collection[SHOWN] = item
         collection.objects.link(item)
         root.children.link(collection)
-    lit.render.film_transparent = True
+    lit.render.film_transparent, lit.background_set = True, None
     placeholder = lit.view_layers[0]
     for name, (shown, world) in layers.items():
         layer = lit.view_layers.new(name)

@@ -34,6 +34,10 @@ MEMORY_FOLDER = Path("/dev/shm")
 MAX_SEED = 2**31 - 1
 """Of Cycles."""
 
+SWITCHED_OFF = ("film_transparent", "use_border", "use_compositing", "use_freestyle", "use_motion_blur",
+                "use_multiview", "use_sequencer", "use_single_layer", "use_stamp")  # fmt: skip
+"""Of a scene's render settings."""
+
 
 @dataclass(frozen=True)
 class RenderSettings:
@@ -94,7 +98,7 @@ def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -
 
 
 def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
-    """Make `scene` render plain radiance: no border, compositor, sequencer, text, film exposure or adaptive sampling.
+    """Make `scene` render plain radiance: no border, compositor, sequencer, line art, film exposure, adaptive sampling.
 
     Its view layers render, as the viewport shows them, though the user may have left one out of their own renders.
 
@@ -107,9 +111,8 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
     render.resolution_x, render.resolution_y = settings.size
     render.resolution_percentage = 100
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
-    for switch in ("use_border", "use_compositing", "use_sequencer", "use_multiview", "use_motion_blur", "use_stamp"):
+    for switch in SWITCHED_OFF:
         setattr(render, switch, False)
-    render.film_transparent = False
     # 0.4 s -> 0.04 s per small render; new pixels in an existing world image would be missed, so none are ever made.
     render.use_persistent_data = True
     cycles.samples, cycles.use_layer_samples = settings.samples, "USE"
