@@ -35,7 +35,7 @@ from xihe_blender.lab.rooms.settings import RoomRenderSettings
 from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
-from xihe_blender.previs.scene_faults import faults_at_frame, unseen_faults
+from xihe_blender.previs.scene_faults import faults_at_frame, timing_faults, unseen_faults
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend, save_copy
 from xihe_blender.scene.estimation_positions import estimation_positions
@@ -264,6 +264,20 @@ def test_a_cache_of_a_linked_object_lies_beside_its_library(tmp_path):
     bpy.context.scene.collection.objects.link(wanted.objects[0])
     read = {path.resolve() for pattern in files_read() for path in matching(pattern)}
     assert kept and read == {*kept, library}
+
+
+def test_physics_that_is_not_baked_and_stretched_time_are_named():
+    scene = empty_scene()
+    assert not list(timing_faults(scene))
+    flag = box(scene, "Flag", (0, 0, 0), (1, 1, 0.1))
+    cache = flag.modifiers.new("Cloth", "CLOTH").point_cache
+    scene.render.frame_map_new = 200
+    physics, time = timing_faults(scene)
+    assert physics.name == "Flag" and "not baked" in physics.said and "Time Stretching" in time.said
+    cache.frame_end = 2
+    with bpy.context.temp_override(point_cache=cache):
+        bpy.ops.ptcache.bake(bake=True)
+    assert list(timing_faults(scene)) == [time]
 
 
 def test_a_copy_in_another_folder_reads_the_same_files(tmp_path):

@@ -183,6 +183,34 @@ def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
         yield Fault(name=unseen[0], n=len(unseen), said=said)
 
 
+def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
+    """What may be elsewhere, or play at another frame, than in the user's own renders."""
+    loose = [item.name for item in scene.objects if any(_is_worked_out(modifier) for modifier in item.modifiers)]
+    world = scene.rigidbody_world
+    if world is not None and world.enabled and world.collection is not None and not world.point_cache.is_baked:
+        bodies = [item for item in world.collection.objects if item.rigid_body is not None]
+        loose += [item.name for item in bodies if item.rigid_body.type == "ACTIVE" and not item.rigid_body.kinematic]
+    if loose:
+        more = f" and {len(loose) - 1} more" if len(loose) > 1 else ""
+        said = (
+            f"The physics of {loose[0]!r}{more} is not baked: Blender works out each frame from the one before, and a "
+            "run leaves frames out, so that it may be elsewhere than in your own renders. Bake it (Cache > Bake)."
+        )
+        yield Fault(name=loose[0], n=len(loose), said=said)
+    if scene.render.frame_map_old != scene.render.frame_map_new:
+        said = (
+            "The scene stretches time: pictures and numbers are right, but Blender plays the keys of the estimated "
+            "light, and of the phone in Xihe Lit, at other frames. Set Old and New to the same number in Output > "
+            "Frame Range > Time Stretching."
+        )
+        yield Fault(name=scene.name, n=1, said=said)
+
+
+def _is_worked_out(modifier: bpy.types.Modifier) -> bool:
+    """Whether it is cloth or a soft body that is not baked."""
+    return modifier.type in ("CLOTH", "SOFT_BODY") and modifier.show_render and not modifier.point_cache.is_baked
+
+
 def _rendered_in(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
     """What neither an object's own switch nor that of a collection hides in renders."""
     if not collection.hide_render:
