@@ -113,6 +113,24 @@ def test_edits_without_a_key_are_put_back_after_a_render():
     assert_kept(before)
 
 
+def test_keys_of_the_users_settings_leave_a_working_scene_alone():
+    scene = lived_in_scene()
+    scene["height"] = 0.0
+    for frame, (samples, height) in {1: (77, 1.0), 5: (7, 5.0)}.items():
+        scene.cycles.samples, scene["height"] = samples, height
+        for path in ("cycles.samples", '["height"]'):
+            scene.keyframe_insert(path, frame=frame)
+    scene.driver_add("view_settings.exposure").driver.expression = "frame"
+    before = snapshot()
+    with working_scene(scene, "Working", RenderSettings((8, 6), samples=3)) as working:
+        working.view_settings.exposure = 0.25
+        working.frame_set(4)
+        rendered = working.view_layers[0].depsgraph.scene_eval
+        assert (rendered.cycles.samples, rendered.view_settings.exposure) == (3, 0.25)
+        assert rendered["height"] == pytest.approx(4.0, abs=0.5)
+    assert differences(before, snapshot()) == ({}, [])
+
+
 def test_a_render_result_that_was_there_stays():
     scene = walk(2)
     render_tiny(scene, 1)

@@ -13,13 +13,13 @@ import bpy
 from xihe_blender.addon.background_run import newest_run
 from xihe_blender.apply.datablocks import ROOM, RUN_BESIDE, lit_scene
 from xihe_blender.apply.lit_scene import remove_lit_collections
-from xihe_blender.scene.state import WORKING
+from xihe_blender.scene.state import WORKING, remove_copied_scene
 
 
 def remove_working_scenes() -> None:
     """Remove every working scene of a run that is over, and what only that used."""
     for scene in [scene for scene in bpy.data.scenes if WORKING in scene]:
-        bpy.data.scenes.remove(scene)
+        remove_copied_scene(scene)
     remove_lit_collections()
 
 

@@ -25,7 +25,7 @@ from xihe_blender.apply.datablocks import KEY_LIGHT, LIT_SCENE, ROOM, SHADOW_CAT
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.io.outputs import link_or_copy
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
-from xihe_blender.scene.state import animated_paths, show_to_camera_alone
+from xihe_blender.scene.state import animated_paths, remove_copied_scene, show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
 
@@ -361,7 +361,7 @@ def remove_lit_scene() -> None:
         own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
         actions = [owner.animation_data.action for owner in (camera, camera.data) if owner.animation_data is not None]
         own |= {action for action in actions if action is not None and action.name.startswith(PHONE)}
-    bpy.data.scenes.remove(lit)
+    remove_copied_scene(lit)
     remove_lit_collections()
     # At once: with its data an object goes too.
     bpy.data.batch_remove(own - {None})

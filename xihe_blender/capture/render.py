@@ -23,7 +23,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.errors import UserError
-from xihe_blender.scene.state import WORKING, users_name
+from xihe_blender.scene.state import WORKING, copied_scene, remove_copied_scene, users_name
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.working_space import in_rec709
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart
@@ -83,7 +83,7 @@ def stacked_rgb(passes: Mapping[str, ArrayF32], name: str = "Combined") -> Array
 @contextlib.contextmanager
 def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -> Iterator[bpy.types.Scene]:
     """A copy of `scene` with one view layer, set up to render by `settings`; gone afterwards, whatever happens."""
-    copy = scene.copy()
+    copy = copied_scene(scene)
     try:
         copy.name = name
         copy[WORKING] = scene.get(WORKING, scene.name)
@@ -94,7 +94,7 @@ def working_scene(scene: bpy.types.Scene, name: str, settings: RenderSettings) -
     finally:
         # Frees what Cycles kept between renders: Blender 5.2 keeps it beyond the scene's end, and crashes on it later.
         copy.render.use_persistent_data = False
-        bpy.data.scenes.remove(copy)
+        remove_copied_scene(copy)
 
 
 def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:

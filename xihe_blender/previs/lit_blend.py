@@ -26,6 +26,7 @@ from xihe_blender.apply.shadow_catchers import (
 from xihe_blender.capture.render import can_denoise
 from xihe_blender.scene.blend_file import save_copy
 from xihe_blender.scene.phone_capture import scan_of
+from xihe_blender.scene.state import copied_scene, remove_copied_scene
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.walk.surfaces import Surface
 
@@ -43,7 +44,7 @@ def make_lit_scene(
     """
     found = applied_worlds(scene)
     worlds = {item.name: found[item.name] for item in objects}
-    lit = scene.copy()
+    lit = copied_scene(scene)
     lit.name = LIT_SCENE
     # A copied scene has no user, and what has none is not saved.
     lit.use_extra_user = True
@@ -87,5 +88,5 @@ def save_lit_blend(
         save_copy(lit, path, compress=True)
     finally:
         remove_shadow_catchers(shadow_catchers(lit))
-        bpy.data.scenes.remove(lit)
+        remove_copied_scene(lit)
         remove_lit_collections()

@@ -22,6 +22,35 @@ WORKING = "xihe_working"
 It is the name of the scene that one is a copy of."""
 
 
+def copied_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
+    """A copy of `scene` that shares its objects, in which nothing is animated but custom properties.
+
+    Keys and drivers of its settings would undo what is set of the copy. For `remove_copied_scene`.
+    """
+    copy = scene.copy()
+    animation = copy.animation_data
+    if animation is None or all(map(_is_custom, animated_paths(copy))):
+        return copy
+    for driver in [driver for driver in animation.drivers if not _is_custom(driver.data_path)]:
+        animation.drivers.remove(driver)
+    for track in list(animation.nla_tracks):
+        animation.nla_tracks.remove(track)
+    if animation.action is not None:
+        animation.action = animation.action.copy()
+        animation.action[WORKING] = scene.name
+        for curves in _curve_lists(animation.action):
+            for curve in [curve for curve in curves if not _is_custom(curve.data_path)]:
+                curves.remove(curve)
+    return copy
+
+
+def remove_copied_scene(copy: bpy.types.Scene) -> None:
+    action = copy.animation_data.action if copy.animation_data is not None else None
+    bpy.data.scenes.remove(copy)
+    if action is not None and WORKING in action:
+        bpy.data.actions.remove(action)
+
+
 def users_name(scene: bpy.types.Scene) -> str:
     """The name of `scene`, or of the user's scene that it is a working copy of: one that the user knows."""
     name = scene.get(WORKING)
@@ -89,11 +118,19 @@ def animated_paths(owner: bpy.types.ID) -> set[str]:
 
 
 def _curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
-    """All F-curves of an action, those of other slots too. Blender 4.4 moved them into layers."""
+    return [curve for curves in _curve_lists(action) for curve in curves]
+
+
+def _curve_lists(action: bpy.types.Action) -> list[Any]:
+    """All that hold F-curves of an action, those of other slots too. Blender 4.4 moved them into layers."""
     if not hasattr(action, "layers"):
-        return list(action.fcurves)
+        return [action.fcurves]
     strips = [strip for layer in action.layers for strip in layer.strips]
-    return [curve for strip in strips for bag in strip.channelbags for curve in bag.fcurves]
+    return [bag.fcurves for strip in strips for bag in strip.channelbags]
+
+
+def _is_custom(path: str) -> bool:
+    return path.startswith("[")
 
 
 def _value(owner: bpy.types.ID, path: str) -> Any:
