@@ -90,7 +90,7 @@ class RgbdFrame:
         and the first three are its axes, of length 1, which is not checked
     exposure : factor that was applied to linear radiance before clipping and encoding, positive
     ambient : (3,) linear scene radiance that the ambient light sensor reports, or None without a sensor
-    time_s : seconds since the start of the session
+    time_s : seconds since the start of the session, finite
     frame : number of the frame in its source
     invalid : how many pixels were left out or clamped before, by reason; see `xihenet.camera.invalid_pixels`
     white_balance : (3,) factors that were applied beside `exposure`, one for each channel, positive; None stands for 1
@@ -124,6 +124,8 @@ class RgbdFrame:
         if not (np.isfinite(self.exposure) and self.exposure > 0):
             raise ValueError(f"RgbdFrame.exposure: expected a positive factor, got {self.exposure}")
         object.__setattr__(self, "exposure", float(self.exposure))
+        if not np.isfinite(self.time_s):
+            raise ValueError(f"RgbdFrame.time_s: expected finite seconds, got {self.time_s}")
         if self.ambient is not None:
             _keep(self, np.float64, ambient=(3,))
             if not (np.isfinite(self.ambient).all() and (self.ambient >= 0).all()):

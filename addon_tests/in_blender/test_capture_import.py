@@ -134,6 +134,18 @@ def test_times_become_whole_frames():
     assert len(frames_of_times([0.0, 0.5, 0.75, 1.25, 1.7, 2.2])) == 6
 
 
+def test_times_in_other_units_or_of_a_clock_that_was_set_are_refused_before_files_are_written():
+    nanoseconds = [5e8 * i for i in range(8)]
+    with pytest.raises(UserError, match=r"5e\+08 s pass between pictures 1 and 2 of the recording: mend its times"):
+        frames_of_times(nanoseconds)
+    clock_was_set = [i / 30 + 86400 * (i > 40) for i in range(80)]
+    with pytest.raises(UserError, match="86400 s pass between pictures 41 and 42"):
+        frames_of_times(clock_was_set)
+    an_hour_away = [i / 30 + 3600 * (i > 400) for i in range(900)]
+    assert len(frames_of_times(an_hour_away)) == 900
+    assert len(frames_of_times([900.0 * i for i in range(8)])) == 8  # A time lapse
+
+
 # --------------------------------------------------------------------------------------------------------------- scan
 
 

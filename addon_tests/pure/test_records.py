@@ -38,6 +38,7 @@ def test_arrays_become_read_only_views_and_the_callers_stay_writable():
         ({"world_from_camera": np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [2, 1, 3, 1]])}, "transpose it"),
         ({"exposure": 0.0}, "exposure"),
         ({"exposure": np.nan}, "exposure"),
+        ({"time_s": np.nan}, "time_s: expected finite seconds, got nan"),
         ({"ambient": [1.0, 2.0]}, "ambient"),
         ({"ambient": [1.0, np.nan, 0.0]}, "ambient"),
         ({"ambient": [-1.0, 0.0, 0.0]}, "ambient"),

@@ -35,7 +35,7 @@ from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.checks import steadied, suspicion
 from xihenet.captures.reading import READERS, xihe_session
 from xihenet.captures.scan import FARTHEST_M, Scan
-from xihenet.formats import format_bytes
+from xihenet.formats import format_bytes, format_count
 from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import ArrayF64, RgbdFrame
 
@@ -216,10 +216,8 @@ def _build(
             collection.objects.link(item)
     scene.collection.children.link(collection)
     changed = _play(scene, camera, capture, numbered, size)
-    said = [
-        f"Imported {len(numbered)} frames as {collection.name!r}; the recording is: {capture.format_name}.",
-        changed,
-    ]
+    n_frames = format_count(len(numbered), "frame")
+    said = [f"Imported {n_frames} as {collection.name!r}; the recording is: {capture.format_name}.", changed]
     n_left_out = len(capture.frames) - len(numbered)
     if n_left_out:
         said.append(f"{n_left_out} that follow too closely for the timeline, or go back in time, were left out.")

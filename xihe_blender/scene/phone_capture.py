@@ -16,6 +16,8 @@ from pathlib import Path
 
 import bpy
 
+from xihe_blender.errors import UserError
+
 CAPTURE, CAPTURE_WAS, CAPTURE_SET = "xihe_capture", "xihe_capture_was", "xihe_capture_set"
 """Custom properties of a scene: its recording as the .blend keeps it, where that was when it was imported, for a copy
 of the .blend elsewhere, and what was set by hand, as JSON."""
@@ -25,6 +27,7 @@ SCAN = "xihe_scan"
 
 FIRST_FRAME = 1
 MOST_FPS = 240
+MOST_FRAMES_A_PICTURE = 1000  # Of the timeline, on average; each has a file. A picture every quarter of an hour has 900
 FEW_FPS = 10  # Fewer a second are pictures that an app chose, at times of their own, and no video
 IS_CAPTURED = "Captured by a phone: the session replaces rendered captures, and there is no ground truth."
 
@@ -92,9 +95,18 @@ def frames_a_second(times_s: Sequence[float]) -> int:
 def frames_of_times(times_s: Sequence[float]) -> dict[int, int]:
     """By frame of the timeline, in order, the place in `times_s` of what was taken then.
 
-    What follows so closely that it falls onto a frame with the one before, or goes back in time, is left out.
+    What follows so closely that it falls onto a frame with the one before, or goes back in time, is left out. UserError
+    for times so far apart that they are hardly seconds, or a clock was set between two.
     """
-    return _frames_at(frames_a_second(times_s), times_s)
+    places = _frames_at(frames_a_second(times_s), times_s)
+    if max(places) > MOST_FRAMES_A_PICTURE * len(places):
+        steps_s = [after - before for before, after in itertools.pairwise(times_s)]
+        n_before = 1 + steps_s.index(max(steps_s))
+        raise UserError(
+            f"{max(steps_s):g} s pass between pictures {n_before} and {n_before + 1} of the recording: mend its times, "
+            "which are seconds, or leave out the pictures before or after that"
+        )
+    return places
 
 
 def _frames_at(fps: int, times_s: Sequence[float]) -> dict[int, int]:
