@@ -1,8 +1,11 @@
 """Work over Dask: what dies is tried again, what cannot be done says so, and rooms are the same whoever makes them."""
 
+import importlib.metadata
+import sys
 import threading
 from urllib.request import urlopen
 
+import bpy
 import pytest
 from small_rooms import small_build
 
@@ -111,11 +114,21 @@ def test_a_worker_with_another_blender_is_one_line(scheduler, tmp_path, monkeypa
 
     monkeypatch.setattr(dask_workers, "blender_version", version)
     with open_dask_workers(None, scheduler) as workers:
-        for there["module"], said in (("4.4.0", "bpy 4.4.0"), (None, "no bpy")):
-            with pytest.raises(UserError, match=f"has {said} and this is bpy 4.5.0, which may render otherwise"):
+        for there["module"], said in (("4.4.0", "Blender 4.4.0"), (None, "no Blender as a Python module")):
+            with pytest.raises(UserError, match=f"has {said} and this is Blender 4.5.0, which may render otherwise"):
                 workers.check_workers(str(tmp_path), [])
         there["module"] = "4.5.0"
         workers.check_workers(str(tmp_path), [])
+
+
+def test_a_whole_blender_which_has_no_package_knows_its_version(monkeypatch):
+    def none(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", none)
+    assert dask_workers.blender_version() == ".".join(map(str, bpy.app.version))
+    monkeypatch.delitem(sys.modules, "bpy")
+    assert dask_workers.blender_version() is None
 
 
 def test_an_address_that_is_none_is_one_line(monkeypatch):

@@ -97,7 +97,7 @@ class DaskWorkers:
                 raise UserError(f"worker {worker} has xihe {version} and this is {__version__}: install the same")
             if blender != blender_version():
                 raise UserError(
-                    f"worker {worker} has {_module(blender)} and this is {_module(blender_version())}, which may "
+                    f"worker {worker} has {_told(blender)} and this is {_told(blender_version())}, which may "
                     "render otherwise: install the same"
                 )
             if unusable:
@@ -144,8 +144,8 @@ class DaskWorkers:
         self.shares[name] = share
 
 
-def _module(blender: str | None) -> str:
-    return "no bpy" if blender is None else f"bpy {blender}"
+def _told(blender: str | None) -> str:
+    return "no Blender as a Python module" if blender is None else f"Blender {blender}"
 
 
 def _why_it_failed(future: Future[str | None]) -> str | None:
@@ -190,7 +190,13 @@ def _pass_on(process: subprocess.Popen[str], work: Work) -> None:
 
 
 def blender_version() -> str | None:
-    """Of Blender as a Python module, which is not loaded for it; None where there is none."""
+    """Of the Blender that this runs in, or else of Blender as a Python module, which is not loaded for it.
+
+    None where there is neither. A whole Blender has no package of its own to be asked for.
+    """
+    running = sys.modules.get("bpy")
+    if running is not None:
+        return ".".join(map(str, running.app.version))
     try:
         return importlib.metadata.version("bpy")
     except importlib.metadata.PackageNotFoundError:
