@@ -40,14 +40,18 @@ public class XiheLight : MonoBehaviour
 
     public void Apply()
     {
-        // The light in force is the last one at or before the frame.
+        // The light in force is the last one at or before the frame; without a name, of the object that comes first.
         Entry found = null;
-        foreach (var entry in JsonUtility.FromJson<Export>(exported.text).lights)
+        var lights = JsonUtility.FromJson<Export>(exported.text).lights;
+        var wanted = string.IsNullOrEmpty(objectName) ? lights[0].@object : objectName;
+        foreach (var entry in lights)
+            if (entry.@object == wanted && (found == null || entry.frame <= frame)) found = entry;
+        if (found == null)
         {
-            var isOwn = string.IsNullOrEmpty(objectName) || entry.@object == objectName;
-            if (isOwn && (found == null || entry.frame <= frame)) found = entry;
+            var first = lights[0].@object;
+            Debug.LogWarning($"XiheLight: the file has no light of '{wanted}'; Object Name could be '{first}'", this);
+            return;
         }
-        if (found == null) return;
         var probe = new SphericalHarmonicsL2();
         for (var channel = 0; channel < 3; channel++)
             for (var i = 0; i < 9; i++)
