@@ -83,7 +83,8 @@ EVALUATIONS = [
     ("webxr", "condon-shortley", by_condon_shortley_radiance, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
     ("openxr", None, by_three, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
     ("babylon", None, by_condon_shortley_radiance, lambda n: np.stack([-n[:, 0], n[:, 2], -n[:, 1]], 1)),
-    ("babylon", "right-handed", by_condon_shortley_radiance, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
+    # Its shader turns the normal's z round in a right-handed scene (REFLECTIONMAP_OPPOSITEZ).
+    ("babylon", "right-handed", by_condon_shortley_radiance, lambda n: np.stack([n[:, 0], n[:, 2], n[:, 1]], 1)),
     ("filament", None, by_filament, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
     ("filament", "radiance", by_condon_shortley_radiance, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
     ("unity", None, by_unity, lambda n: np.stack([n[:, 0], n[:, 2], n[:, 1]], 1)),
@@ -94,7 +95,9 @@ EVALUATIONS = [
     ("arcore", "sceneform", by_sceneform, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
     ("arkit", None, by_three, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
     ("arkit", "unity", by_filament, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
-    ("gltf", None, by_gltf_in_babylon, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
+    # Its loader turns objects, and so normals, for a left-handed scene, but not coefficients.
+    ("gltf", None, by_gltf_in_babylon, lambda n: np.stack([-n[:, 0], n[:, 2], -n[:, 1]], 1)),
+    ("gltf", "right-handed", by_gltf_in_babylon, lambda n: np.stack([n[:, 0], n[:, 2], n[:, 1]], 1)),
     ("gltf", "positive", by_gltf_positive, lambda n: np.stack([n[:, 0], n[:, 2], -n[:, 1]], 1)),
 ]  # platform, reading, the engine's formula, and Blender's normals in its axes
 

@@ -175,7 +175,9 @@ def _entry(
         files[f"{stem}.usda"] = usd_document(entry["environment"], main).encode()
     if platform == "gltf":
         picture = environment_picture(one.light, known) if reflected is None else reflected
-        files[f"{stem}.gltf"] = _json(gltf_document(entry["sh"], main, picture))
+        assert convention is not None
+        faces = cube_faces(picture, convention.axes_of_soft_light)
+        files[f"{stem}.gltf"] = _json(gltf_document(entry["sh"], main, faces))
     return entry, files
 
 
@@ -227,16 +229,16 @@ def Xform "Light"
 """
 
 
-def gltf_document(coefficients: Sequence[float], main: MainLight | None, picture: ArrayF64) -> dict[str, Any]:
-    """A scene lit by EXT_lights_image_based, whose cube map is of the panorama, and by KHR_lights_punctual."""
-    faces = [base64.b64encode(encode_png(face)).decode() for face in cube_faces(picture)]
+def gltf_document(coefficients: Sequence[float], main: MainLight | None, faces: Sequence[ArrayF64]) -> dict[str, Any]:
+    """A scene lit by EXT_lights_image_based, with the `cube_faces`, and by KHR_lights_punctual."""
+    pictures = [base64.b64encode(encode_png(face)).decode() for face in faces]
     nodes = {} if main is None else {"nodes": [0]}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"xihe {__version__}"},
         "extensionsUsed": ["EXT_lights_image_based"],
         "scene": 0,
         "scenes": [{**nodes, "extensions": {"EXT_lights_image_based": {"light": 0}}}],
-        "images": [{"mimeType": "image/png", "uri": f"data:image/png;base64,{face}"} for face in faces],
+        "images": [{"mimeType": "image/png", "uri": f"data:image/png;base64,{picture}"} for picture in pictures],
         "extensions": {
             "EXT_lights_image_based": {
                 "lights": [
@@ -262,15 +264,18 @@ def gltf_document(coefficients: Sequence[float], main: MainLight | None, picture
     return document
 
 
-def cube_faces(picture: ArrayF64, side: int = CUBE_SIDE) -> list[ArrayF64]:
-    """Six uint8 sRGB pictures of a panorama laid out as ours, clipped at white, +X, -X, +Y, -Y, +Z, -Z with Y up."""
+def cube_faces(picture: ArrayF64, axes: ArrayF64 = Y_UP, side: int = CUBE_SIDE) -> list[ArrayF64]:
+    """Six uint8 sRGB pictures of a panorama laid out as ours, clipped at white, +X, -X, +Y, -Y, +Z, -Z with Y up.
+
+    `axes` are those of the cube, as of `Convention`.
+    """
     height, width = picture.shape[:2]
     places = (np.arange(side) + 0.5) / side * 2 - 1
     right, down = np.meshgrid(places, places)
     faces = []
     for middle, to_right, up in np.array(CUBE_FACES, float):
         direction = middle + right[..., None] * to_right - down[..., None] * up
-        x, y, z = np.moveaxis(direction / np.linalg.norm(direction, axis=-1, keepdims=True) @ Y_UP, -1, 0)
+        x, y, z = np.moveaxis(direction / np.linalg.norm(direction, axis=-1, keepdims=True) @ axes, -1, 0)
         row = np.clip((np.arccos(np.clip(z, -1, 1)) / np.pi * height).astype(int), 0, height - 1)
         column = ((0.75 - np.arctan2(y, x) / (2 * np.pi)) % 1 * width).astype(int) % width
         faces.append(np.rint(linear_to_srgb(np.clip(picture[row, column], 0, 1)) * 255).astype(np.uint8))

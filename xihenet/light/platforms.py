@@ -63,6 +63,8 @@ class Convention:
     main_scale : what the main light's irradiance is multiplied by to give its intensity
     main_unit : of that intensity, in words
     main_gamma : power that the engine takes of its colour to make it linear, where it has to carry intensities below 1
+    soft_axes : as `axes`, of the coefficients and of a cube map, where the engine does not turn them with the objects;
+        None for the same
     """
 
     axes: ArrayF64
@@ -74,6 +76,12 @@ class Convention:
     main_scale: float = 1.0
     main_unit: str = "irradiance of a surface that faces it"
     main_gamma: float = 1.0
+    soft_axes: ArrayF64 | None = None
+
+    @property
+    def axes_of_soft_light(self) -> ArrayF64:
+        """(3, 3) of the coefficients and of a cube map."""
+        return self.axes if self.soft_axes is None else self.soft_axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +115,7 @@ class MainLight:
 
 
 _RIGHT = Convention(Y_UP, "right-handed, Y up: Blender's (x, y, z) is (x, z, -y)")
+_SOFT_APART = _RIGHT.axes_in_words + "; but coefficients and cube map have {} mirrored, for {}"
 _SIGNED = replace(_RIGHT, factors=SIGNS)
 _TRAVELS = replace(_RIGHT, direction="along its travel")
 _UNITY = Convention(
@@ -140,7 +149,12 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
                     factors=SIGNS,
                     direction="along its travel",
                 ),
-                "right-handed": replace(_TRAVELS, factors=SIGNS),
+                "right-handed": replace(
+                    _TRAVELS,
+                    axes_in_words=_SOFT_APART.format("z", "its right-handed scenes"),
+                    factors=SIGNS,
+                    soft_axes=Z_MIRRORED,
+                ),
             },
         ),
         "filament": Platform(
@@ -201,7 +215,18 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
         "gltf": Platform(
             "glTF EXT_lights_image_based and KHR_lights_punctual",
             {
-                "condon-shortley": replace(_TRAVELS, factors=SIGNS * _OF_COSINE),
+                "condon-shortley": replace(
+                    _TRAVELS,
+                    axes_in_words=_SOFT_APART.format("x", "a scene of Babylon.js that is not right-handed"),
+                    factors=SIGNS * _OF_COSINE,
+                    soft_axes=X_MIRRORED,
+                ),
+                "right-handed": replace(
+                    _TRAVELS,
+                    axes_in_words=_SOFT_APART.format("z", "a right-handed scene of Babylon.js"),
+                    factors=SIGNS * _OF_COSINE,
+                    soft_axes=Z_MIRRORED,
+                ),
                 "positive": replace(_TRAVELS, factors=_OF_COSINE),
             },
         ),
@@ -244,7 +269,7 @@ def coefficients_for(sh_radiance: ArrayF64, convention: Convention) -> ArrayF64:
 
     ValueError for coefficients of another shape, NaN or infinite.
     """
-    own = (in_axes(sh_radiance, convention.axes) * convention.factors[:, None])[list(convention.order)]
+    own = (in_axes(sh_radiance, convention.axes_of_soft_light) * convention.factors[:, None])[list(convention.order)]
     return (own.T if convention.by_colour else own).ravel()
 
 
