@@ -16,7 +16,7 @@ import pytest
 
 from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer, published_body
 from addon_tests.pure.made import random_cloud
-from xihenet import estimators
+from xihenet import estimators, sphere
 from xihenet.buffers import merge
 from xihenet.codec import encode_cloud
 from xihenet.edge.axes import sh_from, vector_from
@@ -197,6 +197,16 @@ def test_a_session_takes_sixteen_positions_and_waiting_does_not_help(server):
     assert lights[-1][1]["error"] == ("a session has 16 positions at most: have it forget one, or open another session")
     assert server.ask("DELETE", f"/api/v3/sessions/{session}/positions/place_3", Xihe_Token=token)[0] == 200
     assert server.light(session, token, b"", position="one_more")[0] == 200
+
+
+def test_what_moved_positions_take_is_made_beside_the_event_loop_when_a_session_is_opened(server):
+    made = sphere._exact_table
+    made.cache_clear()
+    server.opened(n_anchors=N)
+    until_s = time.monotonic() + 20
+    while not made.cache_info().currsize and time.monotonic() < until_s:
+        time.sleep(0.02)
+    assert made.cache_info().currsize == 1
 
 
 def test_a_compressed_body_is_refused_and_not_read_as_a_cloud(server):
