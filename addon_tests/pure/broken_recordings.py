@@ -289,6 +289,7 @@ RECORD3D = {
         "pixels: check cx and cy, and that K is stored column by column.",
     ),
     "times that go back": (metadata(frameTimestamps=[5.0, 4.0, 6.0]), NOTE + "Times go back once"),
+    "milliseconds": (metadata(frameTimestamps=[0, 33, 67]), NOTE + "though a picture comes every 33.5 s"),
     "times that are not known": (metadata(frameTimestamps=None), READ),
     "depth in millimetres": (
         member(DEPTH, packed(np.full(64 * 48, 2000, "<f4").tobytes())),
@@ -503,6 +504,7 @@ PLAIN = {
     "a pose that mirrors": (put(POSES, "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), "it mirrors"),
     "a pose on its side": (put(POSES, "1 0 0 0 0 1 0 0 0 0 1 0 1 2 3 1\n" * 3), "transpose it?"),
     "times that go back": (put(POSES, "5 0 0 0 0 0 0 1\n4 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n"), NOTE + "Times go back"),
+    "nanoseconds": (put(POSES, "5e8 0 0 0 0 0 0 1\n1e9 0 0 0 0 0 0 1\n2e9 0 0 0 0 0 0 1\n"), NOTE + "every 7.5e"),
     "no times": (put(POSES, "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), NOTE + "Times are not known"),
 }
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from xihenet.captures.capture import Capture, n_frames
 from xihenet.captures.reading.phone_frame import picture_frame, without_confidence
-from xihenet.captures.reading.values import FARTHEST_M, numbers, pose_numbers, pose_of, times_go_back
+from xihenet.captures.reading.values import FARTHEST_M, notes_on_times, numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, camera_facts, frame_camera
 from xihenet.io.json_files import number_in, read_json
 from xihenet.records import ArrayF64
@@ -67,7 +67,7 @@ def read(folder: Path, up: str | None) -> Capture:
         frames.append(picture_frame(i + 1, time_s, camera, colour, depth, metres_per_unit, confidence))
     if not frames:
         raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name (expected finite numbers)")
-    notes = times_go_back([frame.time_s for frame in frames])
+    notes = notes_on_times([frame.time_s for frame in frames])
     if times_s is None:
         notes += (f"Times are not known: {fps:g} frames a second are assumed.",)
     if n_missing := len(colours) - len(frames):

@@ -22,7 +22,7 @@ from xihenet.captures.floor import upright
 from xihenet.captures.reading.archive import MAGIC, Archive, open_archive
 from xihenet.captures.reading.lzfse_files import unpack_lzfse
 from xihenet.captures.reading.phone_frame import confidence_levels, measured, phone_frame, without_confidence
-from xihenet.captures.reading.values import intrinsics_of, numbers, pose_numbers, pose_of, times_go_back
+from xihenet.captures.reading.values import intrinsics_of, notes_on_times, numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import number_in, parse_json, side_in
 from xihenet.io.picture_size import MOST_PIXELS, same_field
@@ -72,7 +72,7 @@ def read(path: Path, up: str | None) -> Capture:
         CapturedFrame(n, float(times_s[n] - begin_s), camera, partial(_load, archive, n, camera, depth_size))
         for n, camera in there.items()
     ]
-    notes += times_go_back([frame.time_s for frame in frames])
+    notes += notes_on_times([frame.time_s for frame in frames])
     if n_missing := max(n_said, len(numbers_of)) - len(there):
         notes += (f"{n_frames(n_missing)} without colour, depth or a pose left out.",)
     are_sure = [f"rgbd/{n}.conf" in archive.members for n in there]

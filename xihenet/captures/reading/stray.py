@@ -22,7 +22,7 @@ from xihenet.captures.reading.phone_frame import (
     read_measured,
     without_confidence,
 )
-from xihenet.captures.reading.values import intrinsics_of, numbers, pose_of, times_go_back
+from xihenet.captures.reading.values import intrinsics_of, notes_on_times, numbers, pose_of
 from xihenet.captures.reading.video import Video
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.picture_size import check_size
@@ -61,7 +61,7 @@ def read(folder: Path, up: str | None) -> Capture:
         frames.append(CapturedFrame(number, float(row[0] - rows[0][0]), camera, load))
     if not frames:
         raise ValueError(f"{folder}: no line of {ODOMETRY} has depth and a picture of {VIDEO}: record with depth")
-    notes = times_go_back([frame.time_s for frame in frames])
+    notes = notes_on_times([frame.time_s for frame in frames])
     last = int(rows[-1][1])
     if video.n_frames <= last:
         notes += (f"The video ends early, after {n_frames(video.n_frames)} of {last + 1}.",)

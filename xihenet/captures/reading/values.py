@@ -13,6 +13,7 @@ import numpy as np
 from xihenet.records import ArrayF64, Intrinsics
 
 FARTHEST_M = 1e6  # From the origin of a recording; what is given in millimetres is still nearer
+LONG_STEP_S = 5.0  # From one picture to the next: thirty a second in milliseconds are 33
 SHORTEST, LONGEST = 1e-6, 1e6  # Of a quaternion that still says a direction
 
 
@@ -80,10 +81,12 @@ def quaternion_of(rotation: ArrayF64) -> ArrayF64:
     return largest
 
 
-def times_go_back(times_s: Sequence[float]) -> tuple[str, ...]:
-    """A note where times do not rise; frames then keep the order that they have."""
-    n = int(np.count_nonzero(np.diff(np.asarray(times_s, np.float64)) < 0))
-    if not n:
-        return ()
-    often = "once" if n == 1 else f"{n} times"
-    return (f"Times go back {often}: frames are taken in the order of their numbers.",)
+def notes_on_times(times_s: Sequence[float]) -> tuple[str, ...]:
+    """Where times do not rise, and frames keep the order that they have; and where they may not be seconds."""
+    steps_s, notes = np.diff(np.asarray(times_s, np.float64)), []
+    if n := int(np.count_nonzero(steps_s < 0)):
+        often = "once" if n == 1 else f"{n} times"
+        notes.append(f"Times go back {often}: frames are taken in the order of their numbers.")
+    if len(steps_s) and (usual_s := float(np.median(steps_s))) > LONG_STEP_S:
+        notes.append(f"Times are taken for seconds, though a picture comes every {usual_s:g} s.")
+    return tuple(notes)
