@@ -120,7 +120,10 @@ def _key_figures(results: RunResults) -> str:
     figures = [
         (str(summary.n_estimates), estimates),
         *errors,
-        (format_quantity(summary.mean_step_ms, "ms"), "mean time of one step, without rendering"),
+        (
+            format_quantity(summary.mean_step_ms, "ms"),
+            "mean time of a frame's steps, all positions together, not rendering",
+        ),
         (format_bytes(sum(probe.payload_bytes for probe in results.probes)), "sent to the estimator in total"),
         _rendering_figure(summary),
     ]
