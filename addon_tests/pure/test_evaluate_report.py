@@ -113,6 +113,13 @@ def test_the_time_of_a_step_stands_beside_the_error_of_each_estimator(tmp_path):
     assert told == ["4.25\u202fms", DASH]
 
 
+def test_a_resumed_unit_says_why_it_rendered_longer_than_it_took(tmp_path):
+    whole = results(batch(1))
+    resumed = replace(whole, units=(replace(whole.units[0], elapsed_s=15.6, render_s=36.0), *whole.units[1:]))
+    pages = [plain(report_page(BatchFolder(tmp_path), one, None)) for one in (whole, resumed)]
+    assert ["stopped and resumed" in page for page in pages] == [False, True]
+
+
 def test_names_of_scenes_cannot_break_the_page(tmp_path):
     trials = [trial("<b>\"'&", estimator=name, psnr=18.0) for name in ("lattice", "projection")]
     page = report_page(BatchFolder(tmp_path), results(trials, [("a<b", "c<d")]), None)

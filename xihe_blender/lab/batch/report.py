@@ -292,6 +292,8 @@ def _costs(units: Sequence[UnitRow]) -> str:
         for unit in units
     ]
     about = "one scene with one seed each, all estimators and phones on the same renders."
-    header = ("unit", "elapsed", "processor", "of it rendering", "memory at most", "written")
+    if any(unit.render_s > unit.elapsed_s for unit in units):
+        about += " Units that were stopped and resumed have rendered longer than their last process took."
+    header = ("unit", "elapsed", "processor", "rendering", "memory at most", "written")
     costs = table(header, rows, "stacking")
     return block("What it cost", f'<p class="quiet">{format_count(len(units), "unit")}: {about}</p>{costs}')

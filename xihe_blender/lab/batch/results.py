@@ -95,8 +95,8 @@ class TrialFigures(Metrics, ChainFigures):
 class UnitCost:
     """What a unit took."""
 
-    elapsed_s: Annotated[float, "of its process"]
-    processor_s: Annotated[float, "of its process"]
+    elapsed_s: Annotated[float, "of its last process"]
+    processor_s: Annotated[float, "of its last process"]
     peak_memory_mb: Annotated[float | None, "None on Windows"]
     written_bytes: Annotated[int, "to storage, most of it removed again"]
 
@@ -118,7 +118,7 @@ class UnitResult:
         tuple[float | None, ...],
         "mean time of the chain for a position in a frame, by trial, or None",
     ]
-    render_s: Annotated[float, "of everything"]
+    render_s: Annotated[float, "of everything, before a stop as well"]
     cost: Annotated[UnitCost, "see there"]
     read: Annotated[FilesRead, "see there"] = FilesRead()
 
@@ -143,7 +143,7 @@ class Trial(TrialFigures, UnitName):
 class UnitRow(UnitCost, UnitName):
     """A unit that is done."""
 
-    render_s: Annotated[float, "of everything"]
+    render_s: Annotated[float, "of everything, before a stop as well"]
     step_ms: Annotated[tuple[float | None, ...], "mean time of the chain for a position in a frame, by trial, or None"]
 
 
