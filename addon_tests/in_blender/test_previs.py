@@ -301,33 +301,11 @@ def test_an_object_that_is_never_in_view_changes_nothing_for_the_others(finished
     assert entries(run(scene, tmp_path))[1]["probes"] == entries(finished.results)[1]["probes"]
 
 
-@pytest.fixture(scope="module")
-def results(finished, tmp_path_factory):
-    """Of the same walk, whose lamp falls to a sixth while the phone looks away: following, and as in the paper."""
-    keeping = run(walk(), tmp_path_factory.mktemp("lamp"), replace(SMALL, following=None))
-    return {"following": finished.results, "keeping": keeping}
-
-
-def ball_after(results):
-    """The ball's probe in the last frame."""
-    return next(probe for probe in results["frames"][-1]["probes"] if probe["name"] == "Ball")
-
-
-@pytest.mark.slow
-def test_both_are_the_same_until_the_lamp_went_down_and_then_following_is_nearer_to_the_truth(results):
-    before = [[e["probes"] for e in content["frames"] if e["frame"] <= LOOKS_AWAY] for content in results.values()]
-    assert before[0] == before[1]
-    following, keeping = (ball_after(results[name]) for name in ("following", "keeping"))
-    assert following["shc_rmse"] < keeping["shc_rmse"]
-    followed, kept, truth = (np.sum(light) for light in (following["sh"][0], keeping["sh"][0], keeping["sh_truth"][0]))
-    assert kept > 1.5 * truth and abs(followed - truth) < 0.3 * (kept - truth)
-
-
-@pytest.mark.slow
-def test_following_is_said_and_where_it_is_off_nothing_is_followed(results):
-    following, keeping = results["following"], results["keeping"]
-    when = {entry["frame"] for entry in following["frames"] if any(p["n_followed_anchors"] for p in entry["probes"])}
+def test_following_is_said_and_can_be_switched_off(finished):
+    """The lamp of the walk falls to a sixth while the phone looks away."""
+    results = finished.results
+    when = {entry["frame"] for entry in results["frames"] if any(p["n_followed_anchors"] for p in entry["probes"])}
     assert when == {LOOKS_AWAY + 1}
-    assert any(f"At frame {LOOKS_AWAY + 1} the light in view changed as a whole" in n for n in following["notes"])
-    assert keeping["summary"]["n_followed_anchors"] == 0 and keeping["settings"]["following"] is None
-    assert following["settings"]["following"]["smallest_stops"] == 0.5
+    assert any(f"At frame {LOOKS_AWAY + 1} the light in view changed as a whole" in n for n in results["notes"])
+    assert results["settings"]["following"]["smallest_stops"] == SMALL.chain(1.0).following.smallest_stops == 0.5
+    assert replace(SMALL, following=None).chain(1.0).following is None
