@@ -10,7 +10,7 @@ import pytest
 
 from addon_tests.pure.recordings import SMALL, looking, seen
 from xihe_blender.cli.document import TRAINING, WITHOUT_TRAINING, document
-from xihe_blender.cli.main import _parser
+from xihe_blender.cli.main import command_parser
 from xihe_blender.io.run_results import METRICS
 from xihenet import __version__, estimators
 from xihenet.captures.reading import READERS
@@ -101,14 +101,14 @@ def test_make_targets_of_the_docs_exist(words):
 
 @pytest.mark.parametrize("words", [w for w in words_of("xihe") if w[0] != "train"], ids=shown)
 def test_xihe_commands_of_the_docs_are_understood(words):
-    options = _parser().parse_args(words)
+    options = command_parser().parse_args(words)
     scene = getattr(options, "scene", None)
     assert scene is None or not str(scene).startswith("blend_scenes") or (ROOT / scene).exists()
 
 
 @pytest.mark.parametrize("words", words_of("blender", "--command", "xihe"), ids=shown)
 def test_the_same_holds_inside_blender(words):
-    assert _parser().parse_args(words).command == words[0]
+    assert command_parser().parse_args(words).command == words[0]
 
 
 def test_the_docs_name_the_extension_as_it_is_built():

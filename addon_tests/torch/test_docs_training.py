@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from xihe_blender.cli.document import document
-from xihenet.training.__main__ import _parser, with_step
+from xihenet.training.__main__ import training_parser, with_step
 
 ROOT = Path(__file__).resolve().parents[2]
 TYPED = re.findall(r"^xihe train (.*)$", (ROOT / "docs" / "training.md").read_text(encoding="utf-8"), re.MULTILINE)
@@ -19,7 +19,7 @@ def test_the_docs_train_report_and_export():
 
 @pytest.mark.parametrize("typed", TYPED)
 def test_training_commands_of_the_docs_are_understood(typed):
-    assert _parser().parse_args(with_step(shlex.split(typed))).run
+    assert training_parser().parse_args(with_step(shlex.split(typed))).run
 
 
 def test_the_page_of_the_command_line_has_training_too():

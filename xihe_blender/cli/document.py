@@ -13,7 +13,7 @@ import contextlib
 import sys
 from collections.abc import Iterator
 
-from xihe_blender.cli.main import COMMANDS, _parser
+from xihe_blender.cli.main import COMMANDS, command_parser
 
 TRAINING = "\n## xihe train\n"
 WITHOUT_TRAINING = (
@@ -40,13 +40,13 @@ Progress is shown on stderr. With `XIHE_VERBOSE=1`, so is what Blender itself pr
 def document() -> str:
     """The page; without its last part, on training, where torch is missing."""
     pages = [HEAD]
-    for name, (parser, summary) in sorted(_sub_commands(_parser()).items()):
+    for name, (parser, summary) in sorted(_sub_commands(command_parser()).items()):
         if name != "train":
             pages += sections(parser, summary)
     with contextlib.suppress(ImportError):
-        from xihenet.training.__main__ import _parser as parser_of_training
+        from xihenet.training.__main__ import training_parser
 
-        pages += sections(parser_of_training(), COMMANDS["train"])
+        pages += sections(training_parser(), COMMANDS["train"])
     return "\n".join(pages)
 
 

@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from xihe_blender.cli.train import train
 
             return train(typed[1:])
-        options = _parser(typed[0] if typed else "").parse_args(with_positions_bound(typed))
+        options = command_parser(typed[0] if typed else "").parse_args(with_positions_bound(typed))
         options.command_line = shlex.join(["xihe", *typed])
         with blender_output_aside() as (stdout, stderr), notes_on(stderr):
             code = options.run(options, stdout, stderr)
@@ -89,7 +89,7 @@ class _Parser(argparse.ArgumentParser):
         raise UserError(f"{message}; see {self.prog} {self.command}".rstrip() + " --help")
 
 
-def _parser(command: str | None = None) -> argparse.ArgumentParser:
+def command_parser(command: str | None = None) -> argparse.ArgumentParser:
     """The parser of `xihe`, with the options of one sub-command or, without its name, of all."""
     parser = _Parser(prog="xihe", description="AR lighting previsualisation in Blender.")
     parser.add_argument("--version", action="version", version=f"xihe {__version__}")

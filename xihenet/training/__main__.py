@@ -39,7 +39,7 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """0 done, 2 a user's mistake in one line on stderr, 130 interrupted: the same command goes on."""
     try:
-        options = _parser().parse_args(with_step(sys.argv[1:] if arguments is None else arguments))
+        options = training_parser().parse_args(with_step(sys.argv[1:] if arguments is None else arguments))
         options.run(options)
     except (ValueError, OSError, ImportError) as error:
         print(f"xihe train: {' '.join(str(error).split())}", file=sys.stderr)
@@ -58,7 +58,7 @@ def with_step(arguments: Sequence[str]) -> list[str]:
     return words if words and words[0] in (*STEPS, "-h", "--help") else ["train", *words]
 
 
-def _parser() -> argparse.ArgumentParser:
+def training_parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="xihe train", description="Train the estimators' networks.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     cache = commands.add_parser("cache", help="sample the rooms into anchor clouds, once for all trainings")
