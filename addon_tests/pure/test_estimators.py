@@ -103,11 +103,11 @@ def package(tmp_path, monkeypatch):
         (facts / "entry_points.txt").write_text(f"[xihe.estimators]\n{entry}\n")
         monkeypatch.syspath_prepend(tmp_path)
         monkeypatch.delitem(sys.modules, "evenly", raising=False)
-        estimators._registry.cache_clear()
+        estimators._outside.cache_clear()
         return code
 
     yield install
-    estimators._registry.cache_clear()
+    estimators._outside.cache_clear()
 
 
 def test_an_estimator_of_another_package_is_known_as_ours_are(package):
@@ -115,6 +115,7 @@ def test_an_estimator_of_another_package_is_known_as_ours_are(package):
     assert (
         estimators.names()[-1] == "evenly" and estimators.summary("evenly") == "Mean of what was seen, from everywhere"
     )
+    assert estimators.packages() == {"evenly": "1.0"}
     light = estimators.load("evenly", N, "hdr").estimate(constant_cloud(LATTICE.directions[:, 2] > 0))
     np.testing.assert_allclose(light, constant(RADIANCE), rtol=1e-5)
     digest = hashlib.sha256(code.encode()).hexdigest()

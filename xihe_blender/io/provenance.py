@@ -8,7 +8,7 @@ import platform
 import bpy
 import numpy as np
 
-from xihenet import __version__
+from xihenet import __version__, estimators
 
 
 def software(command: str) -> dict[str, str]:
@@ -18,6 +18,7 @@ def software(command: str) -> dict[str, str]:
         "blender": bpy.app.version_string,
         "python": platform.python_version(),
         "numpy": np.__version__,
+        **estimators.packages(),
         "command": command,
     }
 

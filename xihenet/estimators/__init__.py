@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from xihenet.estimators.base import EstimateContext, Estimator, Target
 
 __all__ = [
-    "DEFAULT", "EstimateContext", "Estimator", "Target", "is_outside", "kind", "label", "load", "names", "summary",
+    "DEFAULT", "EstimateContext", "Estimator", "Target", "is_outside", "kind", "label", "load", "names",
+    "packages", "summary",
 ]  # fmt: skip
 
 
@@ -63,13 +64,23 @@ def __getattr__(name: str) -> Any:
 
 
 @functools.cache
+def _outside() -> dict[str, metadata.EntryPoint]:
+    """What other packages offer, by name; none takes a name of ours."""
+    return {one.name: one for one in metadata.entry_points(group=OUTSIDE) if one.name not in _OURS}
+
+
 def _registry() -> dict[str, _Row]:
-    """Our rows, and those of other packages, none of which takes a name of ours."""
-    rows = {}
-    for one in metadata.entry_points(group=OUTSIDE):
-        words = one.dist.metadata["Summary"] if one.dist is not None else None
-        rows[one.name] = _Row(one.module, one.attr, one.name, (words or f"Estimator of {one.module}").rstrip("."))
-    return _OURS | {name: row for name, row in rows.items() if name not in _OURS}
+    """Our rows, then those of other packages, whose description stands for a summary."""
+    rows = dict(_OURS)
+    for name, one in _outside().items():
+        words = (one.dist and one.dist.metadata["Summary"]) or f"Estimator of {one.module}"
+        rows[name] = _Row(one.module, one.attr, name, words.rstrip("."))
+    return rows
+
+
+def packages() -> dict[str, str]:
+    """Versions of the other packages that offer estimators, by their names."""
+    return {one.dist.name: one.dist.version for one in _outside().values() if one.dist is not None}
 
 
 def is_outside(name: str) -> bool:
