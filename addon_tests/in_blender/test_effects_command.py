@@ -26,8 +26,6 @@ from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 
-COSTLESS = {"subsurface", "hair", "displacement", "depth of field", "environment sampling"}
-
 
 def test_overrides_are_remembered_in_the_blend_until_they_are_auto(tmp_path):
     scene = stage()
@@ -120,10 +118,10 @@ def without_a_denoiser():
 
 def test_every_effect_says_whether_a_scene_can_switch_it_and_is_measured_if_so():
     plan = plan_light_transport(stage())
-    assert {name for name, effect in plan.items() if not effect.is_switchable} == set(SWITCHED_ELSEWHERE) == COSTLESS
+    assert {name for name, effect in plan.items() if not effect.is_switchable} == set(SWITCHED_ELSEWHERE)
     scene = room_with_a_virtual_sphere(n_frames=1)
     variants = set(VARIANTS(required_effects(scene), {}))
-    assert set(RULES) - variants == COSTLESS | without_a_denoiser()
+    assert set(RULES) - variants == set(SWITCHED_ELSEWHERE) | without_a_denoiser()
 
 
 @pytest.mark.slow
