@@ -31,10 +31,13 @@ from xihenet import phone as phones
 from xihenet.camera import valid_plane_depth
 from xihenet.effects import Effect, names_that_are_on, plan_effects
 from xihenet.phone.exposure import FrameRate, delivered_frames
+from xihenet.phone.holes import Holes
 from xihenet.phone.metering import Metering, metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
-SURFACE_EFFECTS = frozenset({"dark_holes", "glossy_holes", "transparent_holes"})
+SURFACE_EFFECTS = frozenset(
+    name for name, kind in phones.EFFECTS.items() if issubclass(kind, Holes) and kind.asks_surfaces
+)
 
 
 @dataclass(frozen=True)

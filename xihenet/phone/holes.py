@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -66,6 +67,8 @@ class SeenSurfaces:
 class Holes(Section):
     """An effect that takes pixels away."""
 
+    asks_surfaces: ClassVar[bool] = False  # for `SurfaceFacts`, which then have to be rendered
+
     def mask(self, seen: SeenSurfaces) -> ArrayBool:
         """(H, W) where the sensor has no answer."""
         raise NotImplementedError
@@ -75,6 +78,7 @@ class Holes(Section):
 class DarkHoles(Holes):
     """No answer where less than `below_grey` comes back: of the surface's reflectance, or of the picture's grey."""
 
+    asks_surfaces = True
     below_grey: float = number("of white", 0.0, 1.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
@@ -94,6 +98,7 @@ class DarkHoles(Holes):
 class GlossyHoles(Holes):
     """No answer from a surface smoother than `below_roughness` that is turned away more than `beyond_deg`."""
 
+    asks_surfaces = True
     below_roughness: float = number("of Blender's roughness", 0.0, 1.0)
     beyond_deg: float = number("degrees", 0.0, 90.0)
 
@@ -114,6 +119,7 @@ class GlossyHoles(Holes):
 class TransparentHoles(Holes):
     """No answer where more than `above_transmission` of the light goes through."""
 
+    asks_surfaces = True
     above_transmission: float = number("of the light", 0.0, 1.0)
 
     def required_by(self, facts: SessionFacts) -> Required:
