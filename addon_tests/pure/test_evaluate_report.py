@@ -78,6 +78,14 @@ def test_the_trigger_that_is_as_good_asks_least():
     assert trigger_points([trial(thetas=())], "lattice") == []
 
 
+def test_how_often_is_answered_where_the_ambient_light_is_best():
+    best = trial(estimator="ambient", error=0.05, thetas=())
+    assert answers.how_often([best, trial(error=0.1)]).startswith(
+        "With <code>lattice</code>, the trigger as it is asks"
+    )
+    assert answers.how_often([best]).startswith("No estimator that looks at the room")
+
+
 def test_so_few_scenes_say_how_little_they_hold():
     assert "One scene says nothing about others" in answers.what_it_stands_on(batch(1))
     assert "at most 75" in answers.what_it_stands_on(batch(3))

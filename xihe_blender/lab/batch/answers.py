@@ -263,7 +263,8 @@ def phone_differences(trials: Sequence[Trial]) -> list[Comparison]:
 
 
 def how_often(trials: Sequence[Trial]) -> str:
-    best = best_of(trials, MEASURES[0])
+    """Of the best estimator that the trigger matters to: it may not be the one to ship."""
+    best = best_of([trial for trial in trials if trial.thetas], MEASURES[0])
     points = trigger_points(trials, best) if best is not None else []
     if not points:
         return "No estimator that looks at the room was tried on a path that sees an object."
