@@ -65,6 +65,8 @@ def test_frames_have_what_the_phone_saw_and_where_it_was(done):
         np.testing.assert_allclose(shown_m, seen.plane_depth_m[near], atol=6e-4)
     compared = {frame["frame"] for frame in data["frames"] if frame["truth"] is not None}
     assert compared == set(results.compared_frames)
+    told = [name for name, figures in data["frames"][0]["by_method"].items() if "Time of" in figures[-1][0]]
+    assert told == [results.settings.estimator] == list(results.summary.estimate_ms)
 
 
 def test_lights_are_those_of_the_run(done):

@@ -24,7 +24,7 @@ from xihe_blender.io.run_lights import light_of_change, panorama_of_change
 from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.report.document import png_url
 from xihe_blender.report.values import escape
-from xihenet.formats import format_number, format_percent
+from xihenet.formats import format_number, format_percent, format_quantity
 from xihenet.io.png import encode_png
 from xihenet.io.recording import load_frame
 from xihenet.light.environments import encode_hdr, laid_out
@@ -213,6 +213,9 @@ def _numbers(results: RunResults, frame: FrameResult) -> dict[str, list[list[str
             of_picture = compared.comparison[name]
             figures.append(["Error of the picture (RMSE)", format_number(of_picture.rmse, 3)])
             figures.append(["Likeness of the picture (SSIM)", format_number(of_picture.ssim, 3)])
+        if name in results.summary.estimate_ms:
+            time = format_quantity(results.summary.estimate_ms[name], "ms")
+            figures.append(["Time of an estimate, in the whole run", time])
         found[name] = figures
     return found
 
