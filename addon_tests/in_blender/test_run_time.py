@@ -7,8 +7,9 @@ import pytest
 from previs_runs import SMALL, walk
 from scene_snapshot import differences, snapshot
 
+from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, run_time_job
+from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, pictures_needed, run_time_job
 
 
 @pytest.mark.slow
@@ -30,6 +31,14 @@ def test_a_run_of_more_frames_takes_longer_in_proportion():
     assert one.total_s == pytest.approx(2 + 3 * 0.2 + 2 * 5)
     double = replace(one, renders={kind: (2 * n, time) for kind, (n, time) in of_each.items()})
     assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
+
+
+@pytest.mark.parametrize(
+    ("noise", "target", "pictures"),
+    [(0.01, 0.02, 6), (0.03, 0.02, 13.5), (0.2, 0.02, 24), (None, 0.02, 24), (0.1, None, 24)],
+)
+def test_a_light_probe_takes_as_many_pictures_as_its_noise_asks_for(noise, target, pictures):
+    assert pictures_needed(6, noise, ProbeSettings(max_samples=24, noise_target=target)) == pytest.approx(pictures)
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(0.3, "5 s"), (170, "3 min"), (5000, "1 h 20 min")])

@@ -3,7 +3,8 @@
 The run is prepared as it would be (exposure, effects, samples for the noise that is wanted, frames in which nothing
 changes), in a folder that goes again. Then a capture, a light probe and a comparison are rendered, after a first one
 that loads the scene: with one sample, with a few more, and with all if that is quick. A render's time is taken to be a
-straight line in its samples; the run's is that of all its frames, plus what preparing took.
+straight line in its samples; the run's is that of all its frames, plus what preparing took. Light probes are measured
+at a few places, with few pictures: how many more they need depends on the place.
 
 Not counted: what a phone's errors and the chain itself take, some hundredths of a second a frame, and the start of a
 second Blender, some seconds.
@@ -14,13 +15,14 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 
 import bpy
 import numpy as np
 
-from xihe_blender.capture.reference_probe import open_reference_probe
+from xihe_blender.capture.reference_probe import FEWEST_SAMPLES, ProbeSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import GroundTruth, open_comparer
 from xihe_blender.io.outputs import RunOutputs
@@ -33,6 +35,7 @@ from xihe_blender.scene.state import scene_kept
 from xihenet.formats import format_duration
 from xihenet.light.reflections import N_DIRECTIONS
 from xihenet.records import ObjectLight, Reflections, RgbdFrame
+from xihenet.walk.placement import evenly_chosen
 
 FEW_SAMPLES = 4
 LONGEST_S = 4.0
@@ -105,7 +108,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
 
         capture_loaded_s, capture = time_renders(capture_at, frames, run.capture.samples, scanner.scene)
     yield Progress(2, 4, "measuring a light probe")
-    probe_loaded_s, probe = _timed_probe(run, frames)
+    probe_loaded_s, probe = _timed_probe(run)
     yield Progress(3, 4, "measuring a comparison")
     comparison_loaded_s, comparison = _timed_comparison(run, frames, captured)
     n_captures = sum(source == frame for frame, source in run.reuse.captures.items())
@@ -115,15 +118,38 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     return RunTime(prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s, renders)
 
 
-def _timed_probe(run: PreparedRun, frames: Sequence[int]) -> tuple[float, RenderTime]:
-    """Of one reference light as a run measures it, with as many pictures as its noise asks for."""
-    positions_m = [run.plan.probes[0].position_m]
-    with open_reference_probe(run.scene, positions_m, run.reference) as probe:
+def _timed_probe(run: PreparedRun) -> tuple[float, RenderTime]:
+    """Of one reference light as a run measures it: the mean over a few, which may differ by four times and more.
+
+    Each is measured with few pictures, whose noise says how many a run will take.
+    """
+    probes = {probe.name: (index, probe) for index, probe in enumerate(run.plan.probes)}
+    rendered = [(frame, name) for (frame, name), source in run.reuse.probes.items() if source == frame]
+    times_s, counts = [], []
+    with run.open_probes(run.plan.probes) as reference_probe:
+        few = min(FEWEST_SAMPLES, run.reference.max_samples)
+        reference_probe.settings = replace(run.reference, max_samples=few)
         start = time.perf_counter()
-        probe.view(0, 0)
+        reference_probe.view(0, 0)
         loaded_s = time.perf_counter() - start
-        light = probe.light_at(0, frames[0], run.exposure).measured
-    return loaded_s, RenderTime(light.render_s, 0.0, light.samples(run.settings.target))
+        for frame, name in evenly_chosen(rendered, N_RENDERS):
+            index, probe = probes[name]
+            reference_probe.move(index, probe.at(frame))
+            light = reference_probe.light_at(index, frame, run.exposure).measured
+            taken = light.ldr_samples, light.hdr_samples
+            noises = light.ldr_noise, light.hdr_noise
+            needed = [pictures_needed(n, noise, run.reference) for n, noise in zip(taken, noises, strict=True)]
+            ball_s = reference_probe.mirror_ball(index, frame)[1] if run.settings.has_reflections else 0.0
+            times_s.append(light.render_s * sum(needed) / sum(taken) + ball_s)
+            counts.append(sum(needed) / 2)
+    return loaded_s, RenderTime(fmean(times_s), 0.0, round(fmean(counts)))
+
+
+def pictures_needed(n_taken: int, noise: float | None, settings: ProbeSettings) -> float:
+    """How many pictures bring the `noise` of `n_taken` down to the target: its square falls as their number grows."""
+    if settings.noise_target is None or noise is None:
+        return settings.max_samples
+    return min(settings.max_samples, max(n_taken, n_taken * (noise / settings.noise_target) ** 2))
 
 
 def _timed_comparison(
