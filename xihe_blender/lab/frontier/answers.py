@@ -18,6 +18,8 @@ LAST_TENTH = "What does the last 10 % of accuracy cost?"
 
 WHAT_LIGHT = "Do objects need a key light and reflections?"
 
+ERROR_AND_TIME = "Error and time of a frame"
+
 GOOD_ENOUGH = 0.01
 """A difference of a hundredth of the light is hard to see."""
 
@@ -54,8 +56,8 @@ def _anchors(points: Sequence[FrontierPoint]) -> str:
     least = min(p.error for p in own)
     fewest = next(p for p in own if p.error - least <= GOOD_ENOUGH)
     return (
-        f"{fewest.computing.n_anchors} come within {GOOD_ENOUGH:.0%} of the light of the closest to the rendered "
-        f"light probe. Off it, by anchors: {listed} a frame."
+        f"{fewest.computing.n_anchors} anchors are enough: no other number brings the estimate closer to the rendered "
+        f"light probe by more than {GOOD_ENOUGH:.0%} of the light. {ERROR_AND_TIME}, by anchors: {listed}."
     )
 
 
@@ -64,20 +66,23 @@ def _how_often(points: Sequence[FrontierPoint]) -> str:
     if not own:
         return ""
     words = [
-        f"with theta {p.computing.theta:g} in {p.settings.estimates} of {p.settings.steps} steps, "
-        f"which is {_light_and_time(p, 'off in')} a frame"
+        f"theta {p.computing.theta:g}, {p.settings.estimates} estimates in {p.settings.steps} steps: "
+        f"{_light_and_time(p)}"
         for p in own
     ]
-    return f"An estimate is made {'; '.join(words)}."
+    return f"{ERROR_AND_TIME}, by the trigger's threshold: {'; '.join(words)}."
 
 
 def _estimator(points: Sequence[FrontierPoint]) -> str:
     own = sorted(family(points, ("estimator",)), key=lambda p: p.error)
     if not own:
         return ""
-    listed = "; ".join(f"{p.computing.estimator} {_light_and_time(p)}" for p in own)
+    listed = "; ".join(f"{p.computing.estimator}: {_light_and_time(p)}" for p in own)
     best = own[0].computing.estimator
-    return f"{best} is closest to the rendered light probe on this walk. Off it, by estimator: {listed} a frame."
+    return (
+        f"{best} is closest to the rendered light probe on this walk, of light clipped at white. {ERROR_AND_TIME}, by "
+        f"estimator: {listed}."
+    )
 
 
 def _nearest(points: Sequence[FrontierPoint]) -> str:
@@ -85,13 +90,8 @@ def _nearest(points: Sequence[FrontierPoint]) -> str:
     base = next((p for p in own if p.computing.nearest == "exact"), None)
     if base is None:
         return ""
-    others = "; ".join(
-        f"{p.label} {format_share(abs(p.error - base.error))} {'more' if p.error > base.error else 'less'} error "
-        f"at {p.time_ms / base.time_ms:.2f} of the time"
-        for p in own
-        if p is not base
-    )
-    return f"Exactly: {_light_and_time(base, 'off in')} a frame. Against that, {others}."
+    listed = "; ".join(f"{'exact' if p is base else p.label}: {_light_and_time(p)}" for p in own)
+    return f"{ERROR_AND_TIME}: {listed}."
 
 
 def _frame_size(points: Sequence[FrontierPoint]) -> str:
@@ -103,10 +103,9 @@ def _frame_size(points: Sequence[FrontierPoint]) -> str:
     if len(best) < 2:
         return ""
     listed = "; ".join(
-        f"{size[0]}x{size[1]} comes to {format_share(error)} at best"
-        for size, error in sorted(best.items(), reverse=True)
+        f"{size[0]}x{size[1]} pixels: {format_share(error)}" for size, error in sorted(best.items(), reverse=True)
     )
-    return f"Whatever the samples, {listed}: in a small frame a pixel stands for more anchors than one."
+    return f"The least error, whatever the samples: {listed}. In a small frame a pixel stands for more than one anchor."
 
 
 def _bounces(points: Sequence[FrontierPoint]) -> str:
@@ -115,12 +114,12 @@ def _bounces(points: Sequence[FrontierPoint]) -> str:
         return ""
     listed = "; ".join(f"{format_choice(p, ('max_bounces',))}: {_light_and_time(p)}" for p in own)
     samples = int(format_choice(own[0], ("samples",)))
-    return f"At {format_count(samples, 'sample')}, by bounces: {listed}."
+    return f"{ERROR_AND_TIME} at {format_count(samples, 'sample')}, by bounces: {listed}."
 
 
 def _presets(points: Sequence[FrontierPoint]) -> str:
-    words = [f"{p.name} is {_light_and_time(p, 'off in')} a frame" for p in points if p.preset is not None]
-    return f"{'; '.join(words)}." if words else ""
+    words = [f"{p.name}: {_light_and_time(p)}" for p in points if p.preset is not None]
+    return f"{ERROR_AND_TIME}, without what else a run renders: {'; '.join(words)}." if words else ""
 
 
 def _what_light(inside: Sequence[FrontierPoint], around: Sequence[FrontierPoint]) -> str:
@@ -129,10 +128,10 @@ def _what_light(inside: Sequence[FrontierPoint], around: Sequence[FrontierPoint]
         return ""
     ring = {p.label: format_share(p.error) for p in around}
     best = min(own, key=lambda p: p.error)
-    listed = "; ".join(f"{p.settings.light} {_light_and_time(p)}, {ring[p.label]} around them" for p in own)
+    listed = "; ".join(f"{p.settings.light}: {_light_and_time(p)}, {ring[p.label]} around them" for p in own)
     return (
-        f"{best.settings.light} brings the objects closest to the path-traced picture. Off it, by what they are lit "
-        f"with: {listed}."
+        f"Lit with {best.settings.light}, the objects are closest to the path-traced picture. {ERROR_AND_TIME}, by "
+        f"what they are lit with: {listed}."
     )
 
 
@@ -144,16 +143,16 @@ def _last_tenth(points: Sequence[FrontierPoint], doing: str) -> str:
     cheapest, dearest = front[0], front[-1]
     bound = dearest.error + 0.1 * (cheapest.error - dearest.error)
     near = next(p for p in front if p.error <= bound)
-    way = f"from {format_share(cheapest.error)} to {format_share(dearest.error)}"
+    way = f"the error from {format_share(cheapest.error)} to {format_share(dearest.error)}"
     time = format_milliseconds(near.time_ms)
     if near is dearest:
-        return f"{doing}: nothing but {dearest.name}, in {time} a frame, goes the way {way}."
+        return f"{doing}: only {dearest.name}, which takes {time} a frame, lowers {way}."
     return (
-        f"{doing}: {near.name} goes nine tenths of the way {way} in {time} a frame; the rest, {dearest.name}, "
-        f"takes {dearest.time_ms / near.time_ms:.1f} times that."
+        f"{doing}: {dearest.name} lowers {way}. Nine tenths of that cost {time} a frame, with {near.name}; all of it "
+        f"costs {dearest.time_ms / near.time_ms:.1f} times as much."
     )
 
 
-def _light_and_time(point: FrontierPoint, between: str = "in") -> str:
+def _light_and_time(point: FrontierPoint) -> str:
     """ "1.23% in 4.12 ms"."""
-    return f"{format_share(point.error)} {between} {format_milliseconds(point.time_ms)}"
+    return f"{format_share(point.error)} in {format_milliseconds(point.time_ms)}"

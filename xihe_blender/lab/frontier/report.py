@@ -144,6 +144,8 @@ def _how(frontier: Frontier) -> str:
         "Errors are shares of the light, root mean square over frames and positions; the exhaustive setting compares "
         "every point with all anchors, estimates in every frame, and renders with the most samples and all "
         "bounces the scene calls for. Pictures: root mean square of sRGB-encoded colour, 0 to 1.",
+        "Errors of computing and rendering are of light clipped at white, as in the paper. A run estimates all of the "
+        "light unless it is told otherwise, and another estimator may be closest to that.",
         "Times are processor time, median over rounds in which all choices take turns in random order; renders "
         "take one thread. Whiskers reach from quartile to quartile.",
         "A choice is dominated if another has no more error in no more time, and less of one; it flickers if resampled "
