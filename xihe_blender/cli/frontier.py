@@ -12,7 +12,7 @@ from xihe_blender.cli.progress import progress_line
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = adder(parser)
-    quick = "fewer settings, one frame: about 2 minutes a scene instead of 15"
+    quick = "fewer settings, one frame: 2 minutes instead of 15 in a room of little noise, longer in others"
     add("scenes SCENE.blend", "scenes with animated cameras", Path, nargs="+")
     add("--out DIR", "folder of the results; a stopped run in it is resumed", Path, required=True)
     add("--quick", quick, action="store_true")
