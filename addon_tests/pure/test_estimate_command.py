@@ -1,6 +1,7 @@
 """`xihe estimate` as a user types it, where there is no Blender: what it says, what it writes, what it refuses."""
 
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -100,6 +101,38 @@ def test_without_blender_a_mistake_is_one_line_and_exit_2(folder):
     done = xihe_without_blender(folder / "none.exr", "--camera", folder / "camera.json", "--at", AT)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("xihe: cannot read") and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("redirected", ["| true", ">&-", "2>&-", "2>/dev/full", "<&- >&- 2>&-"])
+def test_a_job_is_done_whoever_has_stopped_reading(exr, tmp_path, redirected):
+    done = in_a_shell(exr, tmp_path, redirected)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "estimate.json").is_file()
+
+
+def test_a_result_that_the_disk_has_no_room_for_is_one_line(exr, tmp_path):
+    done = in_a_shell(exr, tmp_path, ">/dev/full")
+    assert done.returncode == 2
+    assert done.stderr.startswith("xihe: standard output: No space left on device; free some space")
+    assert done.stderr.count("\n") == 1
+
+
+def in_a_shell(exr, out, redirected):
+    """The command as a shell runs it, with its output `redirected`."""
+    words = [
+        sys.executable,
+        "-W",
+        "error",
+        "-m",
+        "xihe_blender",
+        "estimate",
+        *map(str, exr),
+        f"--at={AT}",
+        "--out",
+        str(out),
+    ]
+    script = f"set -o pipefail; {shlex.join(words)} {redirected}"
+    return subprocess.run(["bash", "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60)
 
 
 def test_the_estimator_and_the_anchors_that_were_asked_for_are_used(exr, folder, answer):

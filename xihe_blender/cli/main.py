@@ -18,7 +18,7 @@ from typing import NoReturn
 
 from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR, notes_on
 from xihe_blender.errors import UserError
-from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.io.blender_output import blender_output_aside, open_closed_streams
 from xihenet import __version__
 
 COMMANDS = {
@@ -55,6 +55,7 @@ NEEDS_BLENDER = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     typed = list(sys.argv[1:] if arguments is None else arguments)
+    open_closed_streams()
     try:
         if typed[:1] == ["train"]:
             from xihe_blender.cli.train import train

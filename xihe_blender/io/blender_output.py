@@ -4,39 +4,86 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
+import io
 import os
 import sys
 from collections.abc import Iterator
 from typing import Any
 
 
+class _Heedless(io.FileIO):
+    """A stream whose reader may leave before the job is done, as `head` does: what nobody reads is dropped.
+
+    What is worth `keeping`, the result, raises OSError where it is refused for another reason, such as a full disk;
+    progress never does.
+    """
+
+    def __init__(self, descriptor: int, *, keeping: bool) -> None:
+        super().__init__(descriptor, "w")
+        self.keeping = keeping
+
+    def write(self, text: Any, /) -> int:
+        try:
+            return super().write(text)
+        except OSError as error:
+            # Of a pipe without a reader, Windows says the second.
+            if self.keeping and error.errno not in (errno.EPIPE, errno.EINVAL):
+                raise OSError(error.errno, error.strerror, "standard output") from error
+            return len(text)
+
+
+def open_closed_streams() -> None:
+    """Have stdin, stdout and stderr lead nowhere where they were closed when the process was started.
+
+    Else the next file that is opened would get the number of one, and with it all that is printed.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+    sys.stdout = sys.stdout or os.fdopen(1, "w", closefd=False)
+    sys.stderr = sys.stderr or os.fdopen(2, "w", closefd=False)
+
+
 @contextlib.contextmanager
 def blender_output_aside() -> Iterator[tuple[Any, Any]]:
     """Send what is written to file descriptors 1 and 2 nowhere during the block; give the real stdout and stderr.
 
-    With XIHE_VERBOSE set in the environment it goes to stderr instead.
+    With XIHE_VERBOSE set in the environment it goes to stderr instead. OSError if what was written to the real stdout
+    could not be, unless its reader has left.
     """
-    sys.stdout.flush()
-    sys.stderr.flush()
-    real = [os.dup(1), os.dup(2)]
-    aside = os.dup(2) if os.environ.get("XIHE_VERBOSE") else os.open(os.devnull, os.O_WRONLY)
-    os.dup2(aside, 1)
-    os.dup2(aside, 2)
-    # A name may hold what the terminal has no sign for: it is not worth the end of a run.
-    streams = [os.fdopen(descriptor, "w", closefd=False, errors="backslashreplace") for descriptor in real]
-    try:
-        yield streams[0], streams[1]
-    finally:
-        # Registered after Blender was loaded, it runs before Blender ends, and 4.5 prints a line to stdout as it ends.
-        atexit.unregister(close_stdout)
-        atexit.register(close_stdout)
-        # Blender's operators write what they report through Python's own stream.
-        for stream in (*streams, sys.stdout, sys.stderr):
-            stream.flush()
-        for place, descriptor in enumerate(real, start=1):
-            os.dup2(descriptor, place)
-            os.close(descriptor)
-        os.close(aside)
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        # A name may hold what the terminal has no sign for: it is not worth the end of a run.
+        streams = [
+            io.TextIOWrapper(
+                io.BufferedWriter(_Heedless(os.dup(place), keeping=place == 1)),
+                errors="backslashreplace",
+                line_buffering=os.isatty(place),
+            )
+            for place in (1, 2)
+        ]
+        for place, stream in enumerate(streams, start=1):
+            stack.callback(stream.close)
+            stack.callback(os.dup2, stream.fileno(), place)
+        aside = os.dup(2) if os.environ.get("XIHE_VERBOSE") else os.open(os.devnull, os.O_WRONLY)
+        stack.callback(os.close, aside)
+        os.dup2(aside, 1)
+        os.dup2(aside, 2)
+        try:
+            yield streams[0], streams[1]
+        finally:
+            # Registered after Blender was loaded, it runs before Blender ends: 4.5 prints a line to stdout as it ends.
+            atexit.unregister(close_stdout)
+            atexit.register(close_stdout)
+            # Blender's operators write what they report through Python's own stream.
+            with contextlib.suppress(OSError):
+                sys.stdout.flush()
+                sys.stderr.flush()
 
 
 @contextlib.contextmanager
