@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.frame_makers import box_radiance_and_plane_depth, write_camera, write_exr, write_image
 from xihe_blender.cli.main import main
 from xihenet import __version__, estimators, sh
@@ -101,6 +102,22 @@ def test_without_blender_a_mistake_is_one_line_and_exit_2(folder):
     done = xihe_without_blender(folder / "none.exr", "--camera", folder / "camera.json", "--at", AT)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("xihe: cannot read") and done.stderr.count("\n") == 1
+
+
+def test_the_home_folder_is_known_where_no_shell_puts_it_in(exr, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert estimate(*exr, "--at", AT, "--out=~/answer") == 0
+    assert estimate(*exr, "--at", AT, "--out", "~nobody_of_that_name") == 0
+    assert (tmp_path / "answer" / "estimate.json").is_file()
+    assert [path.name for path in (tmp_path / "here").iterdir()] == ["~nobody_of_that_name"]
+
+
+def test_an_empty_path_is_refused_and_not_taken_for_the_current_folder(exr, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(xihe_here("estimate", *exr, "--at", AT, "--out", ""), "--out", "give a file or folder")
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("redirected", ["| true", ">&-", "2>&-", "2>/dev/full", "<&- >&- 2>&-"])

@@ -14,7 +14,8 @@ import re
 import shlex
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from pathlib import Path
+from typing import Any, NoReturn
 
 from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR, notes_on
 from xihe_blender.errors import UserError
@@ -86,6 +87,10 @@ class _Parser(argparse.ArgumentParser):
 
     command = ""
 
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.register("type", Path, _path)
+
     def error(self, message: str) -> NoReturn:
         raise UserError(f"{message}; see {self.prog} {self.command}".rstrip() + " --help")
 
@@ -115,6 +120,19 @@ def with_positions_bound(typed: Sequence[str]) -> list[str]:
         else:
             bound.append(word)
     return bound
+
+
+def _path(text: str) -> Path:
+    """The file or folder `text`; "~" is the home folder in "--out=~/runs" too, where no shell puts it in.
+
+    Nothing is refused: it would be the folder that the command is typed in.
+    """
+    if not text:
+        raise argparse.ArgumentTypeError("'' is no path: give a file or folder, or . for the folder that you are in")
+    try:
+        return Path(text).expanduser()
+    except RuntimeError:  # Of nobody's home, such as that of "~x".
+        return Path(text)
 
 
 def _failed(message: str) -> int:
