@@ -41,6 +41,14 @@ def our_properties():
                 yield f"{kind.identifier}.{prop.identifier}", prop
 
 
+def test_words_that_mean_something_else_in_blender_are_not_translated_as_that():
+    with registered_addon():
+        settings = bpy.context.scene.xihe.bl_rna.properties
+        contexts = {settings[name].translation_context for name in ("estimator", "others", "metering")}
+    # Nobody has translations for it.
+    assert contexts == {"Xihe"}
+
+
 @pytest.mark.slow
 def test_on_and_off_twice_leaves_nothing():
     before = registered()

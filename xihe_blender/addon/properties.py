@@ -13,6 +13,8 @@ from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, placemen
 from xihe_blender.errors import UserError
 
 LAST_FRAME = 1048574
+OUR_WORDS = "Xihe"
+"""Context of words that Blender translates for something else: Lattice is an object there, and Key a keyframe."""
 
 
 def _map_shown(settings: XiheSceneSettings, _context: bpy.types.Context) -> None:
@@ -113,6 +115,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="Estimator",
         description="How the light is estimated from what the phone has seen",
         items=choices.estimator_items,
+        translation_context=OUR_WORDS,
         default=choices.number_of(choices.DEFAULT_ESTIMATOR),
     )
     uses_edge_server: bpy.props.BoolProperty(
@@ -126,6 +129,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="Compare With",
         description="Other estimators, whose light and pictures are compared with it, from the same frames",
         items=choices.other_estimator_items,
+        translation_context=OUR_WORDS,
         options={"ENUM_FLAG"},
     )
     preset: bpy.props.EnumProperty(
@@ -211,6 +215,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="Metering",
         description="How the phone chooses its exposure",
         items=choices.METERINGS,
+        translation_context=OUR_WORDS,
         default=choices.PHONES_METERING,
     )
     seed: bpy.props.IntProperty(
