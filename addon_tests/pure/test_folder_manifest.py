@@ -29,6 +29,14 @@ def test_a_folder_is_taken_once_and_known_again(tmp_path):
     assert (manifest.check(), manifest.take(), manifest.take(), manifest.check()) == (False, False, True, True)
 
 
+def test_a_folder_is_held_by_one_at_a_time(tmp_path):
+    refused = pytest.raises(UserError, match=r"a run is under way in .*: wait for its end, or choose another")
+    with manifest_in(tmp_path).held(), refused, manifest_in(tmp_path).held():
+        pass
+    with manifest_in(tmp_path).held():
+        pass
+
+
 @pytest.mark.parametrize(
     ("changed", "words"),
     [

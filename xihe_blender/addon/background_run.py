@@ -21,7 +21,6 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
 
 import bpy
 
@@ -29,6 +28,7 @@ from xihe_blender.addon.preferences import folders_with_runs
 from xihe_blender.addon.runs_folder import found_folder, last_part
 from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
+from xihe_blender.io.folder_manifest import is_locked
 from xihe_blender.io.json_records import Parameters, as_json, read_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
@@ -232,36 +232,6 @@ def newest_run(blend: str, begun: Iterable[str] = ()) -> Path | None:
             if is_named or run in remembered:
                 found.append((run.request.started, run.folder))
     return max(found, default=(0.0, None))[1]
-
-
-def is_locked(path: Path) -> bool:
-    """Whether a living process holds the lock; False if there is no such file."""
-    try:
-        with path.open("r+b") as file:
-            return not take_lock(file)
-    except OSError:
-        return False
-
-
-def take_lock(file: IO[Any]) -> bool:
-    """Lock `file` for as long as this process keeps it open; False if another has it.
-
-    True also where the file system knows no locks: a run there is seen as long as its window follows it.
-    """
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except (BlockingIOError, PermissionError):
-        return False
-    except OSError:
-        return True
-    return True
 
 
 def _let_go_first(pid: int) -> None:

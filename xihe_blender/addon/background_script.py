@@ -21,8 +21,9 @@ def main(copy: Path, *packages: str) -> None:
     sys.path[:0] = [path for path in dict.fromkeys(packages) if path not in sys.path]
     import bpy
 
-    from xihe_blender.addon.background_run import BackgroundRun, RunState, take_lock
+    from xihe_blender.addon.background_run import BackgroundRun, RunState
     from xihe_blender.addon.failures import FAILURES, format_error
+    from xihe_blender.io.folder_manifest import take_lock
     from xihe_blender.io.json_records import as_json
     from xihe_blender.io.outputs import write_json
     from xihe_blender.jobs import Progress

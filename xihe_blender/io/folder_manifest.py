@@ -11,16 +11,18 @@ import functools
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihenet.io.json_files import read_json
 
 WORK = "work"  # the kind of work, where several keep a file of the same name; missing in files of before
+HELD = "held"  # a file that is locked while somebody is at work
 NOT_COMPARED = "software"  # written down for the reader alone
 MOST_READ_BYTES = 10**9  # A second or two; baked caches of many gigabytes are read at their ends
 END_BYTES = 2**16
@@ -67,6 +69,17 @@ class FolderManifest:
             ) from error
         return False
 
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Take it, and keep others from the same work in it during the block; UserError where somebody is at it."""
+        self.take()
+        with self.file.with_name(HELD).open("ab") as lock:
+            if not take_lock(lock):
+                raise UserError(
+                    f"{self.what} is under way in {self.folder}: wait for its end, or choose another folder for --out"
+                )
+            yield
+
     def _check_is_the_same(self) -> None:
         try:
             kept = read_json(self.file)
@@ -88,6 +101,36 @@ class FolderManifest:
                 f"{self.folder} holds {self.what} with another {', '.join(different)}: choose another folder for "
                 "--out, or delete that one"
             )
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a living process holds the lock; False if there is no such file."""
+    try:
+        with path.open("r+b") as file:
+            return not take_lock(file)
+    except OSError:
+        return False
+
+
+def take_lock(file: IO[Any]) -> bool:
+    """Lock `file` for as long as this process keeps it open; False if another has it.
+
+    True also where the file system knows no locks: whoever else is at work there is not seen.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def differences(kept: dict[str, Any], wanted: dict[str, Any]) -> list[str]:

@@ -81,34 +81,34 @@ def previs(
     yield Progress(0, 1, "surveying the path")
     survey = survey_run(scene, plan, outputs)
     # Not before: a scene that cannot be run leaves no folder.
-    manifest.take()
-    with scene_kept():
-        if recorded is None:
-            run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
-        else:
-            run = yield from prepare_recorded(scene, plan, survey, outputs, recorded, loaded)
-        walked = yield from walk_path(run, keeps_session=True)
-        frames = yield from _compared(run, walked)
-        errors = yield from measure_phone(run, walked)
-    close_backends(loaded)
-    yield run.progress("methods", 1, "applying the light and writing the report")
-    changes = _apply(run, walked, frames)
-    found = results.assemble(
-        run,
-        frames,
-        lights=changes,
-        phone=walked.phone,
-        errors=errors,
-        file=file,
-        command=command,
-        recording=None if recorded is None else recorded.said,
-    )
-    write_session(outputs.folder, kept_facts(run))
-    # The results come last: their presence says that the run is done.
-    write_report(found, outputs)
-    content = as_json(found)
-    write_json(outputs.results, content)
-    return content
+    with manifest.held():
+        with scene_kept():
+            if recorded is None:
+                run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
+            else:
+                run = yield from prepare_recorded(scene, plan, survey, outputs, recorded, loaded)
+            walked = yield from walk_path(run, keeps_session=True)
+            frames = yield from _compared(run, walked)
+            errors = yield from measure_phone(run, walked)
+        close_backends(loaded)
+        yield run.progress("methods", 1, "applying the light and writing the report")
+        changes = _apply(run, walked, frames)
+        found = results.assemble(
+            run,
+            frames,
+            lights=changes,
+            phone=walked.phone,
+            errors=errors,
+            file=file,
+            command=command,
+            recording=None if recorded is None else recorded.said,
+        )
+        write_session(outputs.folder, kept_facts(run))
+        # The results come last: their presence says that the run is done.
+        write_report(found, outputs)
+        content = as_json(found)
+        write_json(outputs.results, content)
+        return content
 
 
 def _compared(run: PreparedRun, walked: WalkedPath) -> Job[list[FrameResult]]:
