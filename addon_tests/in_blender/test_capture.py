@@ -24,6 +24,7 @@ from tiny_scenes import (
     set_world,
 )
 
+from xihe_blender.capture import render
 from xihe_blender.capture.render import RenderSettings, render_scene, working_scene
 from xihe_blender.capture.scanner import METERING_SAMPLES, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
@@ -251,6 +252,21 @@ def test_memory_stays_flat_over_300_captures():
                 resident.append(int(Path("/proc/self/statm").read_text().split()[1]) * page / 1e6)
     # The first hundred fill caches; after that a leak of one small picture per capture would be 1.8 MB.
     assert resident[3] - resident[1] < 1.0
+
+
+def test_a_memory_folder_without_room_for_a_picture_is_not_needed(monkeypatch, tmp_path):
+    save = render._save_render
+
+    def cut_short_in_memory(scene, path):
+        save(scene, path)
+        if tmp_path in path.parents:
+            os.truncate(path, path.stat().st_size // 2)
+
+    scene = furnished()
+    whole = captured(scene)
+    monkeypatch.setattr(render, "MEMORY_FOLDER", tmp_path)
+    monkeypatch.setattr(render, "_save_render", cut_short_in_memory)
+    np.testing.assert_array_equal(captured(scene).plane_depth_m, whole.plane_depth_m)
 
 
 def test_a_render_leaves_no_line_on_the_terminal_about_a_file_of_ours(capfd):

@@ -13,6 +13,7 @@ same in capture, truth and comparison, or the comparison would measure the rende
 from __future__ import annotations
 
 import contextlib
+import os
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -221,8 +222,8 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
 
     UserError if Blender says that it cannot; OSError if the temporary file cannot be written or read.
     """
-    folder = MEMORY_FOLDER if MEMORY_FOLDER.is_dir() else None
-    with tempfile.TemporaryDirectory(prefix="xihe_", dir=folder) as temporary:
+    memory = MEMORY_FOLDER if os.access(MEMORY_FOLDER, os.W_OK) else None
+    with tempfile.TemporaryDirectory(prefix="xihe_", dir=memory) as temporary:
         path = Path(temporary) / "passes.exr"
         # Also has Blender look at the scene anew: what is set of Cycles alone, as its seed, it would not notice.
         scene.render.filepath = str(path)
@@ -231,11 +232,22 @@ def render_passes(scene: bpy.types.Scene) -> Rendered:
             render_scene(scene)
         except RuntimeError as error:
             raise UserError(f"Cycles could not render {users_name(scene)!r}: {str(error).strip()}") from error
-        result = next(image for image in bpy.data.images if image.type == "RENDER_RESULT")
-        with contextlib.suppress(RuntimeError):  # Said below, where the file is read.
-            result.save_render(str(path), scene=scene)
+        _save_render(scene, path)
         render_s = time.perf_counter() - start
+        with contextlib.suppress(OSError):
+            return Rendered(_whole_picture(scene, path), render_s)
+    # In containers the memory folder often has no more than 64 MB.
+    with tempfile.TemporaryDirectory(prefix="xihe_") as temporary:
+        path = Path(temporary) / "passes.exr"
+        _save_render(scene, path)
         return Rendered(_whole_picture(scene, path), render_s)
+
+
+def _save_render(scene: bpy.types.Scene, path: Path) -> None:
+    """Save what was rendered last. What went wrong is said where the file is read."""
+    result = next(image for image in bpy.data.images if image.type == "RENDER_RESULT")
+    with contextlib.suppress(RuntimeError):
+        result.save_render(str(path), scene=scene)
 
 
 def _whole_picture(scene: bpy.types.Scene, path: Path) -> dict[str, dict[str, ArrayF32]]:
