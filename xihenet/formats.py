@@ -7,7 +7,7 @@ results would then make other pages elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 DASH = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
@@ -90,6 +90,16 @@ def format_count(number: int, noun: str) -> str:
 def format_list(words: Sequence[str]) -> str:
     """`words` as a list in a sentence: "a, b and c"."""
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def format_names(names: Iterable[str]) -> str:
+    """Names with commas between, as the command line takes them: one with a comma, or a space at an end, in quotes."""
+    return ", ".join(_quoted(name) if "," in name or name != name.strip().lstrip('"') else name for name in names)
+
+
+def _quoted(name: str) -> str:
+    doubled = name.replace('"', '""')
+    return f'"{doubled}"'
 
 
 def format_runs(numbers: Sequence[int]) -> str:

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from xihe_blender.cli.arguments import names
 from xihenet import svg
 from xihenet.formats import (
     format_bytes,
@@ -12,6 +13,7 @@ from xihenet.formats import (
     format_duration,
     format_list,
     format_milliseconds,
+    format_names,
     format_number,
     format_percent,
     format_runs,
@@ -90,3 +92,14 @@ def test_a_line_has_a_gap_where_there_is_no_point():
     assert svg.line([], "s0") == svg.line([None], "s0") == ""
     assert 'd="M0.00 1.00L100.00 2.00M300.00 3.00"' in svg.line([(0, 1), (10, 2), None, (30, 3)], "s0")
     assert "&lt;b&gt;" in svg.dot(1, 2, "s0", "<b>")
+
+
+@given(st.lists(st.text(min_size=1)))
+def test_names_are_told_as_they_can_be_typed_again(found):
+    assert names(format_names(found)) == tuple(found)
+
+
+def test_names_that_are_typed_need_quotes_only_for_commas_and_spaces_at_their_ends():
+    assert names(' Cup,, Chair "oak", 2" pipe , "Chair, oak"," lead ",') == (
+        "Cup", 'Chair "oak"', '2" pipe', "Chair, oak", " lead ",
+    )  # fmt: skip

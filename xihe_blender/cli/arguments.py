@@ -94,8 +94,12 @@ def position(text: str) -> Position:
 
 
 def names(text: str) -> tuple[str, ...]:
-    """Those of "A,B"; spaces around them and empty ones do not count."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    """Those of "A,B"; spaces around them and empty ones do not count.
+
+    In double quotes, each of its own doubled, a name may have commas, and spaces at its ends: see `format_names`.
+    """
+    found = re.findall(r'\s*(?:"((?:[^"]|"")*)"|([^,]*?))\s*(?:,|\Z)', text)
+    return tuple(quoted.replace('""', '"') or plain for quoted, plain in found if quoted or plain)
 
 
 def whole_numbers(text: str) -> tuple[int, ...]:
@@ -125,6 +129,7 @@ LIGHT = (
     "what objects are lit with: sh, sh+key (the dominant light as a sun with a shadow), or sh+key+reflections (metal "
     "and glass show what the phone saw besides)"
 )
+OBJECTS = 'virtual objects, with quotes around a name that has a comma: "A, B"; default: all'
 NETWORK = f"{one_of(LINKS)}: estimates arrive late; default: at once"
 PHONES = one_of([*profile_names(), "your own file"])
 SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"

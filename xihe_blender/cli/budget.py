@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("scene SCENE.blend", arguments.SCENE, Path)
     add("--out DIR", "folder of the budget; what is rendered is kept in it and resumed", Path, required=True)
     arguments.add_capture(add)
-    add("--objects A,B", "virtual objects; default: all", arguments.names)
+    add("--objects A,B", arguments.OBJECTS, arguments.names)
     add("--moments N", MOMENTS, int, dest="n_moments", default=4)
     add("--seeds N", SEEDS, int, dest="n_seeds", default=3)
     add("--samples N", "samples of every capture, and pictures of every light probe, whatever the noise", int)

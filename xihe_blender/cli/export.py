@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any, get_args
 
-from xihe_blender.cli.arguments import adder, names, one_of
+from xihe_blender.cli.arguments import OBJECTS, adder, names, one_of
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_lights import UNITS, LightsAsked, lights_asked, write_lights
 from xihe_blender.io.run_results import read_results
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--frame", metavar="N", type=int, help="light in force at this frame; default: the last one")
     which.add_argument("--all", action="store_true", help="every light of the path, from the frame on where it changes")
-    add("--objects A,B", "virtual objects; default: all", names)
+    add("--objects A,B", OBJECTS, names)
     parts = "what is written: spherical harmonics, a main light apart, pictures for reflections; default: as in the run"
     add("--light PARTS", parts, choices=get_args(LightParts))
     add(

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     arguments.add_capture(add)
     add("--captured path|in-view", CAPTURED, default="path")
     add("--backend URL", arguments.BACKEND)
-    add("--objects A,B", "virtual objects; default: all", arguments.names)
+    add("--objects A,B", arguments.OBJECTS, arguments.names)
     add("--others A,B", OTHERS, arguments.names, default=())
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
     add("--light PARTS", arguments.LIGHT + AUTO, default="auto")

@@ -24,6 +24,7 @@ from xihe_blender.io.run_results import (
     RunResults,
     SurfaceResult,
 )
+from xihenet.formats import format_names
 from xihenet.light import LightParts
 from xihenet.light.environments import laid_out_as_ours
 from xihenet.light.exports import NamedLight, export_files, scaled
@@ -156,7 +157,7 @@ def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[
         )
     chosen = list(results.lights) if asked.objects is None else list(asked.objects)
     if unknown := [name for name in chosen if name not in results.lights]:
-        raise UserError(f"the run has no virtual object {unknown[0]!r}; it has {', '.join(results.lights)}")
+        raise UserError(f"the run has no virtual object {unknown[0]!r}; it has {format_names(results.lights)}")
     gain = 1.0 if asked.units == "picture" else 1.0 / results.settings.reference_exposure
     found = []
     for name in chosen:

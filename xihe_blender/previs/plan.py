@@ -25,6 +25,7 @@ from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
 from xihenet import __version__
 from xihenet.camera import Intrinsics
+from xihenet.formats import format_names
 from xihenet.records import ArrayF64
 
 DEFAULT_SIZE = (256, 192)
@@ -124,7 +125,9 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
             f"collection named {COLLECTION_NAME!r}"
         )
     if wanted is not None and not wanted:
-        raise UserError(f"no virtual object is chosen: choose among {', '.join(found)}, or leave --objects out for all")
+        raise UserError(
+            f"no virtual object is chosen: choose among {format_names(found)}, or leave --objects out for all"
+        )
     for item, other in itertools.pairwise(items):
         # Results go by name, and an object of a linked library may have the name of another.
         if item.name == other.name:
@@ -135,7 +138,7 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
             )
     unknown = [name for name in wanted or () if name not in found]
     if unknown:
-        raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {', '.join(found)}")
+        raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {format_names(found)}")
     chosen = [item for item in items if wanted is None or item.name in wanted]
     _, room = collections_of(scene)
     for item in chosen:
