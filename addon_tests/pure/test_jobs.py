@@ -1,13 +1,19 @@
 """Driving a job: to its end, with progress, and to a clean stop."""
 
+import fcntl
 import os
+import pty
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import threading
+import unicodedata
 
 import pytest
 
+from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import Progress, TimeLeft, interrupted_between_steps, run_blocking
 
 
@@ -185,3 +191,29 @@ def test_nothing_is_interrupted_that_was_not_asked_to():
         assert not is_interrupted()
         press_ctrl_c()
         assert is_interrupted()
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"), [("Chair", "Chair in frame 1"), ("x" * 200, "xxx..."), ("\u690d" * 50, "\u690d...")]
+)
+def test_progress_stays_on_one_line_of_a_terminal(monkeypatch, name, shown):
+    monkeypatch.setenv("TERM", "xterm")
+    lines = shown_on_terminal(f"measuring the light at {name} in frame 1")
+    assert len(lines) == 1 and shown in lines[0]
+    columns = sum(1 + (unicodedata.east_asian_width(sign) == "W") for sign in lines[0].removeprefix("\r\x1b[K"))
+    assert columns < 80 and (columns > 76 or name == "Chair")
+
+
+def test_a_terminal_that_cannot_go_back_gets_a_line_each(monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    assert shown_on_terminal("capturing frame 1") == ["  0%  capturing frame 1"]
+    assert shown_on_terminal("at a\nbreak") == ["  0%  at a break"]
+
+
+def shown_on_terminal(doing):
+    """Lines that a terminal of 80 columns is sent for the beginning of a job."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    with os.fdopen(master, "rb") as screen, os.fdopen(slave, "w", encoding="utf-8") as stream:
+        progress_line(stream)(Progress(0, 1, doing), 0.0)
+        return os.read(screen.fileno(), 10_000).decode().rstrip("\r\n").split("\r\n")

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import bisect
 import contextlib
+import itertools
 import logging
+import os
+import unicodedata
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +19,10 @@ if TYPE_CHECKING:
 EXIT_IN_PART = 1
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
+
+CUT = "..."
+MANY_COLUMNS = 10**6
+"""Of a terminal that does not say how wide it is."""
 
 
 def when_news(show: Callable[[Progress, float], None]) -> Callable[[Progress, float], None]:
@@ -37,21 +45,47 @@ def progress_line(stream: Any) -> Callable[[Progress, float], None]:
 
     time_left = TimeLeft()
 
+    is_rewritten = _can_rewrite(stream)
+
     def show(progress: Progress, elapsed_s: float) -> None:
         left = time_left.after(progress, elapsed_s)
         remaining = "" if left is None or progress.done >= progress.total else f", {format_duration(left)} left"
-        line = f"{progress.done / progress.total:4.0%}  {progress.doing}{remaining}"
-        end = "\n" if not stream.isatty() or progress.done >= progress.total else ""
-        print(f"\r\033[K{line}" if stream.isatty() else line, file=stream, end=end, flush=True)
+        share = f"{progress.done / progress.total:4.0%}  "
+        doing = " ".join(progress.doing.split())
+        if is_rewritten:
+            # What does not fit would go on in a second line, and stay there.
+            doing = _cut_to(_n_columns(stream) - len(share + remaining) - 1, doing)
+        end = "\n" if not is_rewritten or progress.done >= progress.total else ""
+        print(("\r\033[K" if is_rewritten else "") + share + doing + remaining, file=stream, end=end, flush=True)
 
     return show
+
+
+def _can_rewrite(stream: Any) -> bool:
+    """Whether `stream` is a terminal that can go back and write a line anew."""
+    return bool(stream.isatty()) and os.environ.get("TERM") != "dumb"
+
+
+def _n_columns(stream: Any) -> int:
+    try:
+        return os.get_terminal_size(stream.fileno()).columns or MANY_COLUMNS
+    except OSError:
+        return MANY_COLUMNS
+
+
+def _cut_to(n_columns: int, words: str) -> str:
+    """`words` as far as there is room for them; signs of Chinese, Japanese and Korean take two columns."""
+    ends = list(itertools.accumulate(1 + (unicodedata.east_asian_width(sign) in "WF") for sign in words))
+    if not ends or ends[-1] <= n_columns:
+        return words
+    return words[: bisect.bisect_right(ends, n_columns - len(CUT))] + CUT
 
 
 @contextlib.contextmanager
 def notes_on(stream: Any) -> Iterator[None]:
     """Show on `stream` what is logged during the block, a line each; on a terminal in place of the line of progress."""
     handler = logging.StreamHandler(stream)
-    handler.setFormatter(logging.Formatter(("\r\033[K" if stream.isatty() else "") + "xihe: note: %(message)s"))
+    handler.setFormatter(logging.Formatter(("\r\033[K" if _can_rewrite(stream) else "") + "xihe: note: %(message)s"))
     logger = logging.getLogger("xihe_blender")
     logger.addHandler(handler)
     try:
