@@ -275,6 +275,23 @@ def test_a_disc_in_a_picture_has_the_key_lights_irradiance(direction, radius):
     np.testing.assert_allclose((picture * facing[..., None]).sum(axis=(0, 1)), key.irradiance)
 
 
+@pytest.mark.parametrize(
+    ("platform", "middle", "right"), [("unity", "+X", (0, -1, 0)), ("playcanvas", "-Y", (-1, 0, 0))]
+)
+def test_the_json_says_where_pictures_look(platform, middle, right, tmp_path):
+    panorama = (panorama_directions(8, 16) + 1).astype(float)  # The picture's colour is the direction itself.
+    files = export_files([NamedLight("Ball", 1, 0.0, ObjectLight(SH), panorama)], platform)
+    assert f"Blender's {middle}, " in read_strictly(files[f"{platform}.json"].decode())["pictures"]
+    picture = tmp_path / "picture.hdr"
+    picture.write_bytes(files["Ball_0001_reflections.hdr"])
+    horizon = read_hdr(picture)[3:5].mean(axis=0) - 1
+    axis = {"+X": (1, 0, 0), "-Y": (0, -1, 0)}[middle]
+    np.testing.assert_allclose(horizon[7:9].mean(axis=0), axis, atol=0.08)
+    np.testing.assert_allclose(horizon[11:13].mean(axis=0), right, atol=0.08)
+    without = export_files([NamedLight("Ball", 1, 0.0, ObjectLight(SH))], "unity")
+    assert "pictures" not in read_strictly(without["unity.json"].decode())
+
+
 def test_pictures_turn_there_and_back():
     picture = np.random.default_rng(0).random((4, 8, 3))
     for layout in ("+X", "-Y"):

@@ -111,6 +111,7 @@ def export_files(
             "for": PLATFORMS[platform].title,
             **({} if convention is None else _facts(platform, convention, reading)),
             "units": units,
+            **({"pictures": _said_of_pictures(platform)} if any(name.endswith(".hdr") for name in files) else {}),
             "software": f"xihe {__version__}",
             "lights": entries,
         }
@@ -147,6 +148,13 @@ def _facts(platform: str, convention: Convention, reading: str | None) -> dict[s
     if len(PLATFORMS[platform].readings) > 1:
         facts["reading"] = reading or next(iter(PLATFORMS[platform].readings))
     return facts
+
+
+def _said_of_pictures(platform: str) -> str:
+    return (
+        f"equirectangular, seen from within: the top row is up, the middle column looks along Blender's "
+        f"{TAKE_PICTURES.get(platform, '+X')}, what lies to the right of that is to the right"
+    )
 
 
 def _entry(
