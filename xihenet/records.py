@@ -272,6 +272,8 @@ class UnitSphereCloud:
     is_set : (N,) bool; this and nothing else says whether an anchor was seen
     invalid : how many points of a frame were left out, by reason (not finite, at the position itself, ...)
     surfaces : what surface each anchor shows, for estimators and the trigger; None where nobody looked
+    beside_m : (N, 3) float32, world, metres: by how much what an anchor shows lies beside its own direction since the
+        position has moved, so that many small moves add up; None where it has not
     """
 
     srgb: ArrayF32
@@ -279,6 +281,7 @@ class UnitSphereCloud:
     is_set: ArrayBool
     invalid: Counts = field(default_factory=dict)
     surfaces: AnchorSurfaces | None = None
+    beside_m: ArrayF32 | None = None
 
     def __post_init__(self) -> None:
         _keep(self, np.bool_, is_set=(None,))
@@ -297,6 +300,8 @@ class UnitSphereCloud:
             raise ValueError("UnitSphereCloud: an anchor that is not set must have colour and distance 0")
         if self.surfaces is not None and len(self.surfaces) != n:
             raise ValueError(f"UnitSphereCloud.surfaces: expected {n} anchors, got {len(self.surfaces)}")
+        if self.beside_m is not None:
+            _keep(self, np.float32, beside_m=(n, 3))
 
     @classmethod
     @functools.lru_cache(maxsize=8)  # Records are read-only, so one serves all.
@@ -306,8 +311,9 @@ class UnitSphereCloud:
 
     @classmethod
     def trusted(
-        cls, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, invalid: Counts, surfaces: AnchorSurfaces | None
-    ) -> UnitSphereCloud:
+        cls, srgb: ArrayF32, distance_m: ArrayF32, is_set: ArrayBool, invalid: Counts, surfaces: AnchorSurfaces | None,
+        beside_m: ArrayF32 | None = None,
+    ) -> UnitSphereCloud:  # fmt: skip
         """A cloud of arrays that hold what the record promises by the way they were made, so nothing is looked at.
 
         They are of the stated types and the caller's own: they become read-only. Looking at them takes a third of the
@@ -316,7 +322,8 @@ class UnitSphereCloud:
         for array in (srgb, distance_m, is_set):
             array.setflags(write=False)
         cloud = object.__new__(cls)
-        cloud.__dict__.update(srgb=srgb, distance_m=distance_m, is_set=is_set, invalid=invalid, surfaces=surfaces)
+        known = {"srgb": srgb, "distance_m": distance_m, "is_set": is_set, "invalid": invalid}
+        cloud.__dict__.update(known, surfaces=surfaces, beside_m=beside_m)
         return cloud
 
     def __len__(self) -> int:

@@ -48,6 +48,8 @@ from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 
 MOST_ASIDE = np.radians(50)
 """The light from far away that is seen through an opening is taken for that of directions up to this angle beside."""
+SAME_SURFACE, N_BESIDE = 1.3, 6
+"""Two points in an anchor are of one surface if neither is so many times as far; and anchors around each."""
 _NO_POINT = np.uint64(2**64 - 1)
 _INFINITY_KEY = np.uint64(int(np.float32(np.inf).view(np.uint32)) << 32)
 
@@ -209,17 +211,23 @@ def rays_to(points_m: ArrayF32, camera_m: ArrayF64) -> ArrayF64:
 def sample_again(cloud: UnitSphereCloud, moved_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
     """What `cloud` has seen, from `moved_m` (3,) beside its position: surfaces go to the anchors where they lie now.
 
-    Anchors into whose direction none came are not set. `cloud` has the lattice's anchors, else ValueError. Surfaces
-    face the new position as much as they did the old one, which is nearly so where it is near.
+    Anchors into whose direction none came are not set, but for one beside which lies part of a surface that shares its
+    anchor with another. `cloud` has the lattice's anchors, else ValueError. Surfaces face the new position as much as
+    they did the old one, which is nearly so where it is near. Where each lies is kept exactly (`beside_m`): many small
+    moves are as one large one, though each of them is less than the width of an anchor.
     """
     if len(cloud) != lattice.n:
         raise ValueError(f"sample_again: the lattice has {lattice.n} anchors and the cloud {len(cloud)}")
     points_m = lattice.directions * cloud.distance_m[:, None] - checked_position(moved_m)
+    if cloud.beside_m is not None:
+        points_m += cloud.beside_m
     shown = np.flatnonzero(cloud.is_set & points_m.any(axis=1))
     with np.errstate(over="ignore"):  # What is too far for float32 is taken for not seen.
         columns = np.ascontiguousarray(points_m[shown].T, np.float32)
     distance_m = _distances(columns)
-    winners = _nearest_points(lattice.nearest_to_columns(columns), distance_m, lattice.n)
+    anchors = lattice.nearest_to_columns(columns)
+    winners = _nearest_points(anchors, distance_m, lattice.n)
+    _put_beside(winners, anchors, distance_m, lattice)
     is_set = winners >= 0
     source = np.zeros(lattice.n, np.intp)
     source[is_set] = shown[winners[is_set]]
@@ -231,7 +239,29 @@ def sample_again(cloud: UnitSphereCloud, moved_m: ArrayLike, lattice: AnchorLatt
     nearest_m[is_set] = distance_m[winners[is_set]]
     old = cloud.surfaces
     surfaces = None if old is None else AnchorSurfaces(*(taken(getattr(old, field.name)) for field in fields(old)))
-    return UnitSphereCloud(taken(cloud.srgb), nearest_m, is_set, surfaces=surfaces)
+    beside_m = (points_m[source] - lattice.directions * nearest_m[:, None]) * is_set[:, None]
+    return UnitSphereCloud(taken(cloud.srgb), nearest_m, is_set, surfaces=surfaces, beside_m=beside_m)
+
+
+def _put_beside(winners: ArrayInt, anchors: ArrayInt, distance_m: ArrayF32, lattice: AnchorLattice) -> None:
+    """Give points (P,) that lost to one of their own surface an anchor beside their own that is free, in place.
+
+    `winners` (N,) are numbers of points, -1 for anchors without one; `anchors` (P,) those nearest to each. Without it a
+    surface would lose a part of itself whenever two of its points come to share an anchor.
+    """
+    with np.errstate(over="ignore"):  # All is of one surface at the end of float32.
+        has_lost = distance_m <= SAME_SURFACE * distance_m[winners[anchors]]
+    has_lost[winners[winners >= 0]] = False
+    left = np.flatnonzero(has_lost)
+    for beside in lattice.neighbours(min(1 + N_BESIDE, lattice.n)).T[1:]:
+        wanted = beside[anchors[left]]
+        is_free = winners[wanted] < 0
+        asking = left[is_free]
+        given = _nearest_points(wanted[is_free], distance_m[asking], lattice.n)
+        has_new = given >= 0
+        winners[has_new] = asking[given[has_new]]
+        has_lost[winners[has_new]] = False
+        left = left[has_lost[left]]
 
 
 def sample_uniform(cloud: PointCloud, n: int, rng: np.random.Generator) -> PointCloud:

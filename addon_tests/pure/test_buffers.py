@@ -7,6 +7,7 @@ from addon_tests.pure.made import looked_at, random_cloud
 from xihenet.buffers import SAME_SURFACE, PositionBuffers, merge, merge_views
 from xihenet.records import AnchorSurfaces, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_again, sample_unit_sphere
+from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
 
 N = 64
@@ -125,6 +126,23 @@ def test_a_position_that_moves_sees_the_same_surfaces_from_its_new_place(moved_m
     assert np.median(error_m) < min(0.15, np.median(stale_m) / 2) and np.quantile(error_m, 0.95) < 0.4
     ratio = moved.distance_m[moved.is_set] / expected.distance_m[moved.is_set]
     assert np.median(np.abs(ratio - 1)) < 0.03
+
+
+@pytest.mark.parametrize("n_moves", [5, 40, 200])
+def test_many_small_moves_are_as_one_large_one(n_moves):
+    lattice, here, moved_m = AnchorLattice(1280), np.array([0.2, 0.1, -0.2]), np.array([0.5, -0.4, 0.1])
+    start, expected = seen_in_a_painted_box(here, lattice), seen_in_a_painted_box(here + moved_m, lattice)
+    # What was seen before a step and what came with it go on alike.
+    buffers = PositionBuffers.empty(1280).with_frame(start).fired().with_frame(start)
+    for _ in range(n_moves):
+        buffers = buffers.moved(moved_m / n_moves, lattice).with_frame(UnitSphereCloud.empty(1280))
+    for cloud in (buffers.persistent, buffers.temporary, buffers.fired(is_changed=False).persistent):
+        assert cloud.is_set.mean() > 0.6
+        error_m = 8 * np.abs(cloud.srgb - expected.srgb)[cloud.is_set].max(axis=1)
+        assert np.median(error_m) < 0.15 and np.quantile(error_m, 0.95) < 0.5
+        assert np.median(np.abs(cloud.distance_m / np.maximum(expected.distance_m, 1e-9) - 1)[cloud.is_set]) < 0.03
+        light, true = (project_anchors(one, lattice) for one in (cloud, expected))
+        assert np.abs(light - true).max() < 0.05
 
 
 def test_a_position_that_does_not_move_keeps_what_it_knows():
