@@ -29,7 +29,7 @@ from addon_tests.pure.frame_makers import (
 from addon_tests.pure.made import pose_of, random_rotation
 from xihenet.camera import encode_exposed, unproject_frame, valid_plane_depth
 from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
-from xihenet.io import frame_files, image_files, openexr_package
+from xihenet.io import exr, frame_files, image_files, openexr_package
 from xihenet.io.frame_files import read_camera, read_frame
 from xihenet.io.image_files import area_averaged
 from xihenet.phone.metering import KEY_LUMINANCE
@@ -111,6 +111,31 @@ def test_parts_of_different_sizes_are_refused(tmp_path, camera):
     path = write_parts(tmp_path / "frame.exr", RADIANCE, PLANE_DEPTH_M[:12, :16])
     with pytest.raises(ValueError, match="colour and plane depth of one size"):
         read_frame(path, camera)
+
+
+def write_in(space, colour, path):
+    channels = {name: np.full_like(PLANE_DEPTH_M, value) for name, value in zip("RGB", colour, strict=True)}
+    exr.write_exr(path, channels | {"Z": PLANE_DEPTH_M}, attributes={"colorInteropID": space})
+    return path
+
+
+@pytest.mark.parametrize(
+    ("space", "colour"),
+    [
+        ("lin_rec709_scene", (1.0, 0.25, 0.05)),
+        ("lin_rec2020_scene", (0.7118900, 0.2995500, 0.0831700)),  # As Blender 5.2 renders the same background
+        ("lin_ap1_scene", (0.7003500, 0.2999500, 0.0914900)),
+    ],
+)
+def test_an_exr_that_says_in_which_space_its_colour_is_becomes_rec709(tmp_path, camera, space, colour):
+    frame = read_frame(write_in(space, colour, tmp_path / "frame.exr"), camera, exposure=1)
+    assert frame.srgb_u8[0, 0].tolist() == encode_exposed(np.float32([[(1.0, 0.25, 0.05)]]), 1)[0, 0].tolist()
+
+
+def test_an_exr_in_a_space_that_is_not_known_is_refused(tmp_path, camera):
+    path = write_in("lin_ap0_scene", (1.0, 0.25, 0.05), tmp_path / "frame.exr")
+    with pytest.raises(ValueError, match="its colours are 'lin_ap0_scene': save it in linear"):
+        read_frame(path, camera, exposure=1)
 
 
 @pytest.mark.parametrize("gain", [1e-3, 1.0, 50.0])

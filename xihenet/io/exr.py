@@ -96,6 +96,15 @@ def exr_attributes(path: Path) -> dict[str, Attribute]:
     return _of_header(path, _attributes_of)
 
 
+def exr_colour_space(path: Path) -> str:
+    """The Color Interop ID of the first header, as Blender writes from 5.0 on, such as "lin_ap1_scene"; "" without.
+
+    Raises as `read_exr`.
+    """
+    _, stored = _of_header(path, lambda content: _header_at(content, 8)[0]).get("colorInteropID", ("", b""))
+    return stored.decode(errors="replace")
+
+
 def _sizes_of(content: bytes) -> dict[str, tuple[int, int]]:
     parts, _ = _parts(content)
     return {name: (part.height, part.width) for part in parts for name, _ in part.channels}

@@ -7,8 +7,8 @@ not fit together is refused with what was found: a frame that is read wrongly gi
 The two images may differ in size. Colour is then averaged over the area of each depth pixel, in linear light;
 enlarging plane depth instead was rejected, since it invents surfaces between near and far ones. Sizes are judged by
 the header, and a frame of more than 2 megapixels is thinned to that (`picture_size`). Colour is taken as sRGB or linear
-Rec.709: colour profiles inside files are not applied. Not here: pixels of images (`image_files`), lens distortion, and
-images that do not show the same field of view.
+Rec.709, or as what an OpenEXR file says by its Color Interop ID; other colour profiles in files are not applied. Not
+here: pixels of images (`image_files`), lens distortion, and images that do not show the same field of view.
 """
 
 from __future__ import annotations
@@ -43,6 +43,19 @@ BLENDER_FROM_UP: Mapping[str, ArrayF64] = {
     "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
 }
 """What turns a world upright, by the axis that points up in it: (x, y, z) with +Y up is Blender's (x, -z, y)."""
+
+
+REC709_FROM: Mapping[str, ArrayF64] = {
+    "lin_rec2020_scene": np.array(
+        [[1.660491, -0.5876403, -0.0728492], [-0.1245504, 1.1329002, -0.0083489], [-0.0181508, -0.1005792, 1.1187301]]
+    ),
+    "lin_ap1_scene": np.array(
+        [[1.705051, -0.6217912, -0.0832581], [-0.1302563, 1.1408046, -0.0105478], [-0.0240034, -0.1289693, 1.1529725]]
+    ),
+}
+"""What turns linear colour of a file into Rec.709, by the file's Color Interop ID: of Rec.2020 and ACEScg, in which a
+.blend may calculate. ACEScg's white, D60, becomes D65 by Bradford's adaptation, as in Blender."""
+IS_REC709 = ("", "lin_rec709_scene", "data", "unknown")
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,12 +294,21 @@ def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdF
     check_size(path, height, width)
     channels = read_exr_channels(path, {*colour, plane_depth_channel}, most_pixels=MOST_POINTS)
     radiance, plane_depth_m = np.stack([channels[name] for name in colour], axis=-1), channels[plane_depth_channel]
+    radiance = _in_rec709(radiance, exr.exr_colour_space(path), path)
     if exposure is None:
         is_finite = np.isfinite(radiance).all(axis=2)
         exposure = metered_exposure([radiance[is_finite]]) if is_finite.any() else 1.0
     fix = "save the Z pass too, and let the camera see surfaces"
     measured = sound_plane_depth(plane_depth_m, radiance)
     return _frame(encode_exposed(radiance, exposure), measured, (width, height), camera, exposure, path, fix)
+
+
+def _in_rec709(radiance: ArrayF32, space: str, path: Path) -> ArrayF32:
+    if space in IS_REC709:
+        return radiance
+    if space not in REC709_FROM:
+        raise ValueError(f"{path}: its colours are {space!r}: save it in linear Rec.709, Rec.2020 or ACEScg")
+    return radiance @ REC709_FROM[space].T.astype(np.float32)
 
 
 def _frame_channels(channels: Mapping[str, object], path: Path) -> tuple[list[str], str]:
