@@ -12,8 +12,8 @@ from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, inputs_of_world, light_curves
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_lights import LightsAsked
+from xihe_blender.scene.colour_management import in_rec709
 from xihe_blender.scene.units import seconds_of
-from xihe_blender.scene.working_space import in_rec709
 from xihenet.light.exports import NamedLight, scaled
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight, ObjectLight

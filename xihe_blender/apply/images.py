@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.apply.datablocks import MADE_BY, image_named
-from xihe_blender.scene.working_space import in_working_space
+from xihe_blender.scene.colour_management import in_working_space
 from xihenet.records import ArrayF32, ArrayF64
 
 

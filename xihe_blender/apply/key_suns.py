@@ -16,8 +16,8 @@ from mathutils import Vector
 
 from xihe_blender.apply.datablocks import KEY_LIGHT, PREFIX, shortened
 from xihe_blender.apply.keys import clear_keys, hold_keys, remove_animation
+from xihe_blender.scene.colour_management import in_working_space
 from xihe_blender.scene.virtual_objects import virtual_objects
-from xihe_blender.scene.working_space import in_working_space
 from xihenet.records import KeyLight
 
 

@@ -98,6 +98,8 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     The picture keeps the frames' shape, and is as large along its longer side as the scene's own. One that the user
     makes wider shows the middle of the frame.
     """
+    from xihe_blender.scene.colour_management import show_as_it_is
+
     first = frames.write_sequence()
     image = bpy.data.images.load(str(first))
     if bpy.data.filepath and first.is_relative_to(Path(bpy.data.filepath).parent):
@@ -119,8 +121,8 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     for switch in ("use_border", "use_sequencer", "use_single_layer", "use_freestyle"):
         setattr(render, switch, False)
     render.use_compositing = True
-    lit.display_settings.display_device = "sRGB"
-    view.view_transform, view.look, view.gamma, view.use_curve_mapping = "Standard", "None", 1.0, False
+    show_as_it_is(lit)
+    view.gamma, view.use_curve_mapping = 1.0, False
     view.exposure, lit.cycles.film_exposure = math.log2(frames.exposure), 1.0
     if hasattr(view, "use_white_balance"):  # from Blender 4.3 on
         view.use_white_balance = False

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from xihe_blender.apply.datablocks import MADE_BY, NODE_GROUP_NAME
 from xihe_blender.apply.images import write_image
 from xihe_blender.apply.keys import curve_lists, hold_keys
+from xihe_blender.scene.colour_management import read_as_linear_rec709
 from xihe_blender.scene.shader_nodes import smoothest_roughness
 from xihenet.light import LightParts
 from xihenet.light.environments import laid_out
@@ -82,7 +83,8 @@ def reflect_on_timeline(world: bpy.types.World, pictures: Mapping[int, Path]) ->
     image = bpy.data.images.load(str(files[0]))
     image.name = f"{PICTURE} {world.name}"
     image[MADE_BY] = image.name
-    image.source, image.colorspace_settings.name = "SEQUENCE", "Linear Rec.709"
+    image.source = "SEQUENCE"
+    read_as_linear_rec709(image)
     node.image, user = image, node.image_user
     user.frame_start, user.frame_duration, user.use_auto_refresh = 1, 1, True
     for frame, path in pictures.items():

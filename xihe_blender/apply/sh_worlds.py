@@ -27,7 +27,7 @@ from xihe_blender.apply.datablocks import (
     trigger_markers,
 )
 from xihe_blender.apply.keys import add_keys, clear_keys, f_curves, hold_keys, remove_animation
-from xihe_blender.scene.working_space import in_working_space
+from xihe_blender.scene.colour_management import in_working_space
 from xihenet.sh import dering_for_display
 
 GAIN = "Gain"

@@ -24,9 +24,9 @@ import bpy
 import numpy as np
 
 from xihe_blender.errors import UserError
+from xihe_blender.scene.colour_management import in_rec709
 from xihe_blender.scene.state import WORKING, copied_scene, remove_copied_scene, users_name
 from xihe_blender.scene.units import metres_per_unit
-from xihe_blender.scene.working_space import in_rec709
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart
 from xihenet.io.exr import read_exr
 from xihenet.records import ArrayF32

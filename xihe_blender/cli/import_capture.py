@@ -25,6 +25,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     import bpy
 
     from xihe_blender.footage.import_capture import import_capture, recording_at
+    from xihe_blender.scene.colour_management import show_as_it_is
     from xihe_blender.scene.phone_capture import ChosenCapture
     from xihenet.io.whole_files import written_whole
 
@@ -36,7 +37,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     # Cycles alone knows shadow catchers, and pictures are to look as they were taken.
-    scene.render.engine, scene.view_settings.view_transform = "CYCLES", "Standard"
+    scene.render.engine = "CYCLES"
+    show_as_it_is(scene)
     chosen = ChosenCapture(recording_at(options.recording), options.up, options.scale, options.floor)
     job = import_capture(scene, chosen, blend_folder=out.parent, keeps_frames=True)
     imported = run_blocking(job, progress_line(stderr))

@@ -21,6 +21,7 @@ from xihe_blender.capture.render import choose_format
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_picture
 from xihe_blender.io.run_results import RunResults
+from xihe_blender.scene.colour_management import show_as_it_is
 from xihe_blender.scene.state import WORKING
 from xihenet.records import ArrayF32
 
@@ -156,8 +157,7 @@ def set_up_output(scene: bpy.types.Scene, size: tuple[int, int], fps: float) -> 
     render.resolution_percentage = 100
     render.fps = max(1, round(fps))
     render.fps_base = render.fps / fps
-    scene.view_settings.view_transform = "Standard"
-    scene.view_settings.look = "None"
+    show_as_it_is(scene)
 
 
 def add_labels(strips: Any, labels: Sequence[str], size: tuple[int, int], n_frames: int) -> None:

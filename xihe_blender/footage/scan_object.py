@@ -5,10 +5,10 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from xihe_blender.scene.colour_management import in_working_space
 from xihe_blender.scene.mesh_arrays import fill_mesh
 from xihe_blender.scene.phone_capture import SCAN
 from xihe_blender.scene.shader_nodes import new_material
-from xihe_blender.scene.working_space import in_working_space
 from xihenet.captures.capture import Capture
 from xihenet.captures.scan import ScanMesh
 

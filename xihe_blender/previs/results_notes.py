@@ -15,6 +15,7 @@ from xihe_blender.previs.sample_count import SampleCount
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean, too_small_to_judge
+from xihe_blender.scene.colour_management import PLAIN_VIEWS
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.edge.client import EdgeBackend
 from xihenet.formats import format_frames, format_list
@@ -130,7 +131,7 @@ def _shown_otherwise(scene: bpy.types.Scene) -> list[str]:
     """What the scene's colour management does to a picture besides encoding it."""
     view = scene.view_settings
     switched = {
-        view.view_transform: view.view_transform != "Standard",
+        view.view_transform: view.view_transform not in PLAIN_VIEWS,
         "exposure": view.exposure != 0 or scene.cycles.film_exposure != 1,
         "gamma": view.gamma != 1,
         "look": view.look != "None",

@@ -20,6 +20,7 @@ from xihe_blender.lab.rooms.materials import material_of
 from xihe_blender.lab.rooms.outline import Outline
 from xihe_blender.lab.rooms.place_pieces import place_piece
 from xihe_blender.lab.rooms.room_data import Hole, Lamp, Room, Slope
+from xihe_blender.scene.colour_management import show_as_it_is
 
 WALL_M, SLAB_M, FACE_GAP_M = 0.25, 0.2, 0.001
 CURTAIN_TONES = ((0.7, 0.68, 0.63), (0.45, 0.42, 0.4), (0.3, 0.36, 0.42), (0.6, 0.5, 0.42), (0.42, 0.48, 0.42))
@@ -60,7 +61,7 @@ def build_room(room: Room) -> bpy.types.Scene:
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
-    scene.view_settings.view_transform = "Standard"
+    show_as_it_is(scene)
     things = bpy.data.collections.new("Room")
     scene.collection.children.link(things)
     add_shell(things, room)

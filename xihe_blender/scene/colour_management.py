@@ -6,13 +6,17 @@ Blender (every render) and the file's own where it enters it (worlds, suns, imag
 which saturated light spreads through a room otherwise than in the user's own renders.
 
 Colours that Rec.709 cannot hold have channels below 0; a picture clips them, sums of light do not.
+
+A configuration also has names of its own for spaces, displays and views: those of Blender and of ACES are known here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
+import contextlib
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
+import bpy
 import numpy as np
 from mathutils import Color
 
@@ -22,6 +26,30 @@ _Light = TypeVar("_Light", ArrayF32, ArrayF64)
 
 SAME = 1e-4
 """Between matrices: Blender 4.5 is off by 1e-6 where both spaces are Rec.709."""
+
+
+LINEAR_REC709 = ("Linear Rec.709", "Linear Rec.709 (sRGB)", "Utility - Linear - Rec.709", "Utility - Linear - sRGB")
+SRGB_DISPLAYS, PLAIN_VIEWS = ("sRGB", "sRGB - Display"), ("Standard", "Un-tone-mapped")
+
+
+def read_as_linear_rec709(image: bpy.types.Image) -> None:
+    """Have Blender take the numbers of `image`, a file, for light in linear Rec.709."""
+    _set_to_first_known(image.colorspace_settings, "name", LINEAR_REC709)
+
+
+def show_as_it_is(scene: bpy.types.Scene) -> None:
+    """Have `scene` show and write light encoded in sRGB, without a tone curve or a look."""
+    _set_to_first_known(scene.display_settings, "display_device", SRGB_DISPLAYS)
+    _set_to_first_known(scene.view_settings, "view_transform", PLAIN_VIEWS)
+    scene.view_settings.look = "None"
+
+
+def _set_to_first_known(owner: Any, attribute: str, names: Sequence[str]) -> None:
+    """Leave it as it is where the configuration has none of `names`."""
+    for name in names:
+        with contextlib.suppress(TypeError):
+            setattr(owner, attribute, name)
+            return
 
 
 def in_rec709(rgb: _Light) -> _Light:

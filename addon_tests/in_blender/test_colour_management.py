@@ -1,7 +1,6 @@
 """A file that calculates in Rec.2020 or ACEScg is seen, lit and exported in the colours of Rec.709."""
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -128,24 +127,31 @@ def test_light_is_read_back_from_a_file_in_rec709(change_working_space):
 
 @pytest.mark.slow
 @pytest.mark.wheel_only("Blender reads its configuration of colours as it starts")
-def test_a_configuration_may_have_another_space_in_every_blender(tmp_path):
-    shutil.copytree(Path(bpy.utils.system_resource("DATAFILES")) / "colormanagement", tmp_path, dirs_exist_ok=True)
-    config = tmp_path / "config.ocio"
-    config.write_text(config.read_text().replace("scene_linear: Linear Rec.709", "scene_linear: Linear Rec.2020"))
+def test_a_configuration_of_aces_has_another_space_and_names_of_its_own_in_every_blender(tmp_path):
+    write_radiance(tmp_path / "0_Ball_0001.exr", np.broadcast_to(np.float32(ORANGE), (16, 32, 3)))
     code = f"""
 import os, sys
+from pathlib import Path
 sys.path[:0] = {str(ROOT)!r}, {str(Path(__file__).parent)!r}
-from test_working_space import ORANGE, constant, empty_scene, key_light_changes, make_sh_world, orthographic, rendered
+from test_colour_management import *
+from xihe_blender.scene.colour_management import show_as_it_is
 scene = empty_scene()
-orthographic(scene)
+orthographic(scene, 0.1)
 scene.world = make_sh_world("Xihe Ball")
 key_light_changes(scene.world, {{1: constant(ORANGE)}}, 1.0)
-rgb, shown = scene.world.node_tree.nodes["Xihe SH Radiance"].inputs[0].default_value, rendered(scene, (8, 8), 1)[4, 4]
-print("here", *shown, rgb[0] / rgb[2], flush=True)
+colours = [*scene.world.node_tree.nodes["Xihe SH Radiance"].inputs[0].default_value, *rendered(scene, (8, 8), 1)[4, 4]]
+sphere(scene, "Ball", (0, 0, 0), 1.0, mirror())
+reflect_on_timeline(scene.world, {{1: Path({str(tmp_path)!r}, "0_Ball_0001.exr")}})
+scene.frame_set(1)
+show_as_it_is(scene)
+print("here", *colours, *rendered(scene, (8, 8), 1)[4, 4], scene.view_settings.view_transform, flush=True)
 os._exit(0)
 """
-    environment = {**os.environ, "OCIO": str(config)}
+    environment = {**os.environ, "OCIO": "ocio://cg-config-v2.1.0_aces-v1.3_ocio-v2.3"}
     done = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment, timeout=100)
-    *shown, ratio = map(float, done.stdout.split("here")[1].split())
+    *colours, view = done.stdout.split("here")[1].split()
+    kept, shown, reflected = np.array(colours, float).reshape(3, 3)
+    assert kept[0] / kept[2] < 15 < ORANGE[0] / ORANGE[2]  # The same colour is less far from grey in ACEScg's numbers.
     np.testing.assert_allclose(shown, ORANGE, rtol=1e-3)
-    assert ratio < 15 < ORANGE[0] / ORANGE[2]  # The same colour is less far from grey in Rec.2020's numbers.
+    np.testing.assert_allclose(reflected, MIRROR * np.array(ORANGE), rtol=1e-3)
+    assert view == "Un-tone-mapped"
