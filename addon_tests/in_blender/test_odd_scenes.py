@@ -35,7 +35,7 @@ from xihe_blender.lab.rooms.settings import RoomRenderSettings
 from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
-from xihe_blender.previs.scene_faults import faults_at_frame, timing_faults, unseen_faults
+from xihe_blender.previs.scene_faults import faults_at_frame, layer_faults, timing_faults, unseen_faults
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend, save_copy
 from xihe_blender.scene.estimation_positions import estimation_positions
@@ -264,6 +264,19 @@ def test_a_cache_of_a_linked_object_lies_beside_its_library(tmp_path):
     bpy.context.scene.collection.objects.link(wanted.objects[0])
     read = {path.resolve() for pattern in files_read() for path in matching(pattern)}
     assert kept and read == {*kept, library}
+
+
+def test_what_the_first_view_layer_leaves_out_is_named():
+    scene = room_with_a_virtual_sphere()
+    front = bpy.data.collections.new("Front")
+    scene.collection.children.link(front)
+    box(scene, "Screen", (0, 0, 1), (1, 1, 0.1), collection=front)
+    first, second = scene.view_layers[0], scene.view_layers.new("FG")
+    first.layer_collection.children["Front"].exclude = True
+    (fault,) = layer_faults(scene)
+    assert fault.name == "Screen" and "'FG'" in fault.said
+    second.use = False
+    assert not list(layer_faults(scene))
 
 
 def test_physics_that_is_not_baked_and_stretched_time_are_named():

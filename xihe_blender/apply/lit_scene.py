@@ -217,11 +217,11 @@ def _without_loose_edges(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
 def _seen_in_scene(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
     """All that its first view layer renders, and those of the scenes that are set behind it."""
     while scene is not None:
-        yield from _seen_in(scene.view_layers[0].layer_collection)
+        yield from seen_in(scene.view_layers[0].layer_collection)
         scene = scene.background_set
 
 
-def _seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
+def seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
     """All that a view layer renders for its camera, at some frame at least, of a collection and those in it."""
     if layer.exclude or layer.collection.hide_render or layer.holdout or layer.indirect_only:
         return
@@ -229,7 +229,7 @@ def _seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
         if not item.hide_render or "hide_render" in animated_paths(item):
             yield item
     for child in layer.children:
-        yield from _seen_in(child)
+        yield from seen_in(child)
 
 
 def _phone_with(

@@ -17,6 +17,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.apply.datablocks import PREFIX
+from xihe_blender.apply.lit_scene import seen_in
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import matching
 from xihe_blender.io.run_results import Fault
@@ -181,6 +182,23 @@ def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
             "but light comes from there. Switch that off in Object Properties > Visibility, or in the outliner."
         )
         yield Fault(name=unseen[0], n=len(unseen), said=said)
+
+
+def layer_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
+    """What the user renders in other view layers alone: captures and ground truth are of the first one."""
+    first, *others = scene.view_layers
+    first.update()
+    known, collection = set(first.objects), virtual_collection(scene)
+    known.update(collection.all_objects if collection is not None else ())
+    for layer in [layer for layer in others if layer.use]:
+        alone = [item.name for item in dict.fromkeys(seen_in(layer.layer_collection)) if item not in known]
+        if alone:
+            are = f" and {len(alone) - 1} more are" if len(alone) > 1 else " is"
+            said = (
+                f"{alone[0]!r}{are} in view layer {layer.name!r}, but a run renders the first one alone, "
+                f"{first.name!r}. Tick the collection there in the Outliner."
+            )
+            yield Fault(name=alone[0], n=len(alone), said=said)
 
 
 def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:

@@ -31,6 +31,7 @@ from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.scene_faults import (
     faults_at_frame,
     image_faults,
+    layer_faults,
     place_faults,
     timing_faults,
     unseen_faults,
@@ -121,7 +122,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     views: dict[int, _CameraView] = {}
     in_scene = range(scene.frame_start, scene.frame_end + 1)
     visited = {frame + step for frame in plan.frames for step in (-1, 0, 1) if frame + step in in_scene}
-    faults = [*image_faults(scene.world), *unseen_faults(scene), *timing_faults(scene)]
+    faults = [*image_faults(scene.world), *unseen_faults(scene), *layer_faults(scene), *timing_faults(scene)]
     settings = RenderSettings(plan.size, samples=1)
     with open_inspection(scene) as inspection, working_scene(scene, "Xihe Survey", settings) as working:
         for frame in sorted(visited):
