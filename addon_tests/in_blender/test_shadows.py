@@ -100,6 +100,19 @@ def test_ball_is_lit_as_without_a_catcher():
     assert np.abs(difference).mean() < 0.01 * without.methods["one"][inside].mean()
 
 
+def test_fog_has_no_holes_where_the_floor_is_seen_through_it():
+    scene, ball = sunlit()
+    tree = ball.data.materials[0].node_tree
+    tree.nodes.clear()
+    fog, output = tree.nodes.new("ShaderNodeVolumeScatter"), tree.nodes.new("ShaderNodeOutputMaterial")
+    fog.inputs["Density"].default_value = 9
+    tree.links.new(fog.outputs[0], output.inputs["Volume"])
+    over_a_catcher, surfaces = compared(scene, [ball], blurred=0.01)
+    alone, _ = compared(scene, [ball], has_surfaces=False)
+    assert surfaces and alone.weights.max() > 0.5
+    np.testing.assert_array_equal(over_a_catcher.weights > 0, alone.weights > 0)
+
+
 def test_nothing_is_around_a_ball_high_in_the_air_and_nothing_is_left_in_the_file():
     scene, ball = sunlit(height_m=2.5)
     phone(scene, (0, -1.8, 2.2), (0, 0, 2.5))

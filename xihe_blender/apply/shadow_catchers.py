@@ -22,6 +22,10 @@ if TYPE_CHECKING:  # The panel, which asks for what is left of a run, must do wi
     from xihenet.walk.surfaces import Surface
 
 
+CATCHER_INDEX = 32767
+"""Pass index of a catcher, by which pixels that show one are told from others: the largest that there is."""
+
+
 def make_shadow_catcher(name: str) -> bpy.types.Object:
     """A catcher named `name` without any surface yet."""
     mesh = bpy.data.meshes.new(name)
@@ -29,7 +33,7 @@ def make_shadow_catcher(name: str) -> bpy.types.Object:
     catcher = bpy.data.objects.new(name, mesh)
     catcher[SHADOW_CATCHER] = name
     catcher.hide_select = True
-    catcher.is_shadow_catcher = True
+    catcher.is_shadow_catcher, catcher.pass_index = True, CATCHER_INDEX
     show_to_camera_alone(catcher)
     return catcher
 

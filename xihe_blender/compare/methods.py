@@ -33,6 +33,7 @@ from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scen
 from xihe_blender.apply.reflection_pictures import forget_reflections, has_sun_for_lamp, reflect_in_world
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.apply.shadow_catchers import (
+    CATCHER_INDEX,
     catch_shadows,
     catch_shadows_of,
     catcher_name,
@@ -81,6 +82,12 @@ OCCLUSION_TOLERANCE = 2e-3
 
 RECORDED_TOLERANCE = 0.01
 """The same behind what a range sensor measured, which is off by a centimetre or two."""
+
+CATCHER_TOLERANCE = 0.05
+"""The same of a shadow catcher that is seen through an object."""
+
+OBJECT_INDEX = ("IndexOB", "Object Index")
+"""Name of the pass, before Blender 5 and since."""
 
 MARGIN_PX = 8
 """By so much the part of the picture that is rendered is wider than the objects in it, at least."""
@@ -350,7 +357,7 @@ def open_comparer(
             stack.callback(remove_shadow_catchers, [catchers[item.name]])
             show_only_in(lit, catchers[item.name], [layers[key] for key in keys if key[1] == item.name])
         for layer in lit.view_layers:
-            layer.cycles.use_pass_shadow_catcher = has_key_light
+            layer.cycles.use_pass_shadow_catcher = layer.use_pass_object_index = has_key_light
         # Kept between renders, the order of the suns and so their noise would depend on what was rendered before: a run
         # that is resumed would end otherwise than one that was not stopped.
         lit.render.use_persistent_data = not has_key_light
@@ -375,7 +382,7 @@ def blended(
     is_known = np.isfinite(weights).all(axis=0) & valid_plane_depth(depth_m)
     weights = np.where(is_known, weights, 1.0)
     weights /= weights.sum(axis=0)
-    mixed = {name: layers[0][name] for name in ("Depth.Z", "Combined.A")}
+    mixed = {name: layers[0][name] for name in layers[0] if name.startswith(("Depth.Z", "Combined.A", *OBJECT_INDEX))}
     for name in layers[0].keys() - mixed.keys():
         each = np.stack([layer[name] for layer in layers])
         if name in SHADOW_CHANNELS:  # A ratio to hardly any light would outweigh all others.
@@ -421,12 +428,26 @@ def composite(
     exposed = captured.exposure * (1.0 if captured.white_balance is None else captured.white_balance)
     picture, weights = background.copy(), np.zeros(background.shape[:2])
     for passes in layers:
-        visible = in_front_of_room(passes["Depth.Z"], captured.plane_depth_m, tolerance)
+        visible = in_front_of_room(_depth_within_room(passes), captured.plane_depth_m, tolerance)
         alpha = np.where(visible, passes["Combined.A"], 0.0)
         colour = stacked_rgb(passes).astype(np.float64)
         picture += np.where(visible[..., None], colour * exposed, 0.0) - alpha[..., None] * background
         weights += alpha
     return picture, np.clip(weights, 0.0, 1.0)
+
+
+def _depth_within_room(passes: Mapping[str, ArrayF32]) -> ArrayF32:
+    """(H, W) the plane depth of a view layer, that of its shadow catcher brought nearer by CATCHER_TOLERANCE.
+
+    Fog and thin glass have no other depth than what is behind them, and a catcher lies where the room's own surface
+    does, but not to the millimetre.
+    """
+    depth_m = passes["Depth.Z"]
+    of_objects = next((pixels for name, pixels in passes.items() if name.startswith(OBJECT_INDEX)), None)
+    if of_objects is None:
+        return depth_m
+    nearer_m = depth_m / (1 + CATCHER_TOLERANCE) - CATCHER_TOLERANCE
+    return np.where(of_objects == CATCHER_INDEX, nearer_m, depth_m).astype(np.float32)
 
 
 def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF32, tolerance: float) -> ArrayBool:
