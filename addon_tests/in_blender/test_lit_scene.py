@@ -19,9 +19,15 @@ from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.addon.runs_folder import found_folder, last_run
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, RUN_BESIDE, has_anything, lit_scene
 from xihe_blender.apply.keyed_camera import key_camera
-from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, remove_lit_scene, set_up_lit_scene
+from xihe_blender.apply.lit_scene import (
+    CapturedFrames,
+    hide_behind_room,
+    put_over_frames,
+    remove_lit_scene,
+    set_up_lit_scene,
+)
 from xihe_blender.errors import UserError
-from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -86,13 +92,17 @@ def test_no_line_of_the_room_is_drawn_over_the_captured_frame():
     edges = bpy.data.objects.new("Edges", bpy.data.meshes.new("Edges"))
     add_loose_edge(edges.data)
     scene.collection.objects.link(edges)
+    fog = box(scene, "Fog", (0, 0, 0), (1, 1, 1), material("Fog")).data.materials[0].node_tree
+    fog.nodes.clear()
+    output = fog.nodes.new("ShaderNodeOutputMaterial")
+    fog.links.new(fog.nodes.new("ShaderNodeVolumeScatter").outputs[0], output.inputs["Volume"])
     before = snapshot()
     lit = bpy.data.scenes.new(LIT_SCENE)
     lit[ROOM] = scene
     hide_behind_room(lit, scene, [])
     shown = {name: bpy.data.objects[f"Xihe Lit {name}"] for name in ("Table", "Lamp", "Skinned")}
     assert {(item.display_type, item.show_wire) for item in shown.values()} == {("TEXTURED", False)}
-    assert "Xihe Lit Edges" not in bpy.data.objects
+    assert not {"Xihe Lit Edges", "Xihe Lit Fog"} & set(bpy.data.objects.keys())
     mesh = shown["Lamp"].data
     assert not any(edge.is_loose for edge in mesh.edges) and len(mesh.edges) == n_edges
     assert len(mesh.vertices) == len(lamp.data.vertices) and len(mesh.polygons) == len(lamp.data.polygons)
@@ -432,6 +442,17 @@ def test_the_phone_stays_where_it_captured_the_picture_that_is_shown():
         expected[:3, 3] *= 2
         np.testing.assert_allclose(found[frame][:16], expected.ravel(), atol=1e-6)
         assert found[frame][16] == pytest.approx(2 * np.arctan(32 / (50 + frame)))
+
+
+@pytest.mark.parametrize(("captured", "is_blurred"), [((2, 3, 4), True), ((2, 4), False)])
+def test_a_phone_that_jumps_is_not_blurred(tmp_path, captured, is_blurred):
+    lit = room_with_a_virtual_sphere()
+    lit.render.use_motion_blur = True
+    picture, camera = tmp_path / "frame.png", FrameCamera(Intrinsics(8, 6, 9, 9, 4, 3), np.eye(4), np.eye(3))
+    write_picture(picture, np.zeros((6, 8, 3)))
+    pictures, cameras = dict.fromkeys(captured, picture), dict.fromkeys(captured, camera)
+    put_over_frames(lit, CapturedFrames(pictures, range(2, 5), tmp_path / "lit", (8, 6), 1.0, cameras))
+    assert lit.render.use_motion_blur == is_blurred
 
 
 def test_it_is_saved_with_the_file_and_shown_again_in_place_of_itself(ran, shown, tmp_path):

@@ -293,6 +293,16 @@ def test_physics_that_is_not_baked_and_stretched_time_are_named():
     assert list(timing_faults(scene)) == [time]
 
 
+def test_an_object_that_follows_a_keyed_property_of_the_scene_is_named():
+    scene = empty_scene()
+    variable = box(scene, "Lift", (0, 0, 0), (1, 1, 1)).driver_add("location", 2).driver.variables.new()
+    variable.targets[0].id_type, variable.targets[0].id, variable.targets[0].data_path = "SCENE", scene, '["height"]'
+    scene["height"] = 1.0
+    assert not list(timing_faults(scene))
+    scene.keyframe_insert('["height"]', frame=1)
+    assert [fault.name for fault in timing_faults(scene)] == ["Lift"]
+
+
 def test_a_copy_in_another_folder_reads_the_same_files(tmp_path):
     flag = box(empty_scene(), "Flag", (0, 0, 0), (1, 1, 0.1))
     flag.modifiers.new("Cloth", "CLOTH")

@@ -10,6 +10,7 @@ Not here: shadows on the room fall on catchers that `shadow_catchers` makes.
 
 from __future__ import annotations
 
+import itertools
 import math
 import shutil
 from collections.abc import Container, Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ from xihe_blender.apply.datablocks import KEY_LIGHT, LIT_SCENE, ROOM, SHADOW_CAT
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.io.outputs import link_or_copy
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
+from xihe_blender.scene.shader_nodes import Interaction, material_shading
 from xihe_blender.scene.state import animated_paths, remove_copied_scene, show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -121,6 +123,8 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     for switch in ("use_border", "use_sequencer", "use_single_layer", "use_freestyle"):
         setattr(render, switch, False)
     render.use_compositing = True
+    if any(after - frame > 1 for frame, after in itertools.pairwise(frames.cameras)):
+        render.use_motion_blur = False  # Of a phone that jumps, it would show two pictures at once.
     show_as_it_is(lit)
     view.gamma, view.use_curve_mapping = 1.0, False
     view.exposure, lit.cycles.film_exposure = math.log2(frames.exposure), 1.0
@@ -176,10 +180,18 @@ def _is_simulated(item: bpy.types.Object) -> bool:
 
 
 def _may_hide(item: bpy.types.Object) -> bool:
-    """Whether it may have a surface: a mesh of edges or points alone has none."""
+    """Whether it may have a surface: a mesh of edges or points alone has none, nor has one of fog."""
+    materials = [slot.material for slot in item.material_slots]
+    if materials and all(map(_is_fog, materials)):
+        return False
     if item.type == "MESH":
         return bool(item.data.polygons or item.modifiers)
     return item.type in _SOLID or item.instance_type == "COLLECTION"
+
+
+def _is_fog(material: bpy.types.Material | None) -> bool:
+    kinds = material_shading(material).interactions & ~Interaction.DISPLACEMENT
+    return kinds == Interaction.VOLUME
 
 
 def _draw_no_lines(copied: bpy.types.Object, tidied: dict[bpy.types.ID, bpy.types.ID]) -> None:

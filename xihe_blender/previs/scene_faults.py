@@ -26,6 +26,7 @@ from xihe_blender.previs.files_read import file_of, pattern_of
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.shader_nodes import constant, has_nodes
+from xihe_blender.scene.state import animated_paths
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 from xihenet.records import ArrayF32, ArrayF64
@@ -215,6 +216,17 @@ def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
             "run leaves frames out, so that it may be elsewhere than in your own renders. Bake it (Cache > Bake)."
         )
         yield Fault(name=loose[0], n=len(loose), said=said)
+    keyed = animated_paths(scene)
+    for item in scene.objects if keyed else ():
+        drivers = item.animation_data.drivers if item.animation_data is not None else ()
+        targets = [target for curve in drivers for variable in curve.driver.variables for target in variable.targets]
+        read = [target.data_path for target in targets if target.id == scene and target.data_path in keyed]
+        if read:
+            said = (
+                f"Drivers of {item.name!r} read {read[0]}, which is keyed on the scene: it may be elsewhere than in "
+                "your own renders, and stands still in Xihe Lit. Key that on an object, such as an empty."
+            )
+            yield Fault(name=item.name, n=1, said=said)
     if scene.render.frame_map_old != scene.render.frame_map_new:
         said = (
             "The scene stretches time: pictures and numbers are right, but Blender plays the keys of the estimated "
