@@ -86,6 +86,18 @@ def test_how_often_is_answered_where_the_ambient_light_is_best():
     assert answers.how_often([best]).startswith("No estimator that looks at the room")
 
 
+def test_thetas_that_differ_from_scene_to_scene_are_told_from_least_to_greatest():
+    quiet = trial("room", estimator="lattice")
+    noisy = replace(
+        quiet, unit="dim_0", scene="dim", thetas=tuple(replace(t, theta=1.35 * t.theta) for t in quiet.thetas)
+    )
+    assert [point.theta for point in trigger_points([quiet, noisy], "lattice")][2:] == [
+        "0.0200 to 0.0270",
+        "0.0800 to 0.108",
+    ]
+    assert trigger_points([quiet], "lattice")[2].theta == "0.0200"
+
+
 def test_so_few_scenes_say_how_little_they_hold():
     assert "One scene says nothing about others" in answers.what_it_stands_on(batch(1))
     assert "at most 75" in answers.what_it_stands_on(batch(3))

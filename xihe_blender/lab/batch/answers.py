@@ -127,10 +127,15 @@ class TriggerPoint:
     """
 
     factor: float
-    theta: float
+    thetas: tuple[float, float]  # the least and the greatest: each scene's is above the noise of its captures
     per_minute: float
     error: float
     more: PairedDifference | None
+
+    @property
+    def theta(self) -> str:
+        """In words: "0.02", or "0.02 to 0.031"."""
+        return " to ".join(dict.fromkeys(map(format_number, self.thetas)))
 
 
 def trigger_points(trials: Sequence[Trial], estimator: str) -> list[TriggerPoint]:
@@ -144,7 +149,9 @@ def trigger_points(trials: Sequence[Trial], estimator: str) -> list[TriggerPoint
         errors = [one.shc_rmse for one in same]
         per_minute = float(np.mean([one.per_minute for one in same]))
         more = paired_difference(errors, eager, scenes, np.random.default_rng(0)) if index else None
-        points.append(TriggerPoint(same[0].factor, same[0].theta, per_minute, float(np.mean(errors)), more))
+        thetas = [one.theta for one in same]
+        between = (min(thetas), max(thetas))
+        points.append(TriggerPoint(same[0].factor, between, per_minute, float(np.mean(errors)), more))
     return points
 
 
@@ -279,7 +286,7 @@ def how_often(trials: Sequence[Trial]) -> str:
         return words + f"No lazier trigger stays {limit}."
     if least.factor == own.factor:
         return words + f"It is the laziest that stays {limit}."
-    times = f"{least.factor:g} times the thresholds (theta {least.theta:g})"
+    times = f"{least.factor:g} times the thresholds (theta {least.theta})"
     sure = "" if least.more is None or least.more.is_clear else ", which cannot be told from chance"
     return words + f"The laziest trigger that stays {limit} has {times}: {_rate(least)}, for {least_error}{sure}."
 

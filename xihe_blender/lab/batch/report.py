@@ -149,9 +149,9 @@ def _how_often(trials: Sequence[Trial]) -> str:
         dots = []
         for p in answers.trigger_points(trials, name):
             error, more = format_number(p.error), "" if p.more is None else format_interval(p.more)
-            words = f"{name}, theta {p.theta:g}: {p.per_minute:.0f} a minute, error {error}"
+            words = f"{name}, theta {p.theta}: {p.per_minute:.0f} a minute, error {error}"
             dots.append((p.per_minute, p.error, words))
-            rows.append([code(name), f"{p.theta:g}", format_number(p.per_minute), error, more])
+            rows.append([code(name), p.theta, format_number(p.per_minute), error, more])
         lines.append((name, index, dots))
     about = (
         "Mean over trials. Each dot is a trigger: from every frame, right, to 64 times the thresholds, left. The same "
