@@ -87,6 +87,12 @@ def test_a_study_is_measured_once_and_again_for_another_seed(tmp_path):
     assert (tmp_path / "mean.csv").read_text().count("\n") == 2
 
 
+def test_studies_are_measured_again_with_networks_of_another_training(monkeypatch):
+    before = paper.study_inputs({}, paper.QUICK_WALK)
+    monkeypatch.setattr(paper, "weights_sha256", lambda names, target: {"lattice": f"{target}, trained anew"})
+    assert paper.study_inputs({}, paper.QUICK_WALK) != before
+
+
 def test_a_study_that_is_stopped_leaves_nothing_and_the_next_run_measures_it(tmp_path):
     outputs = paper.PaperOutputs(tmp_path)
     sessions = [SESSION, Session("other", (), 1.0, ())]

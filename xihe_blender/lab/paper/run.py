@@ -1,8 +1,9 @@
 """How is the evaluation run so that it can be stopped, and no study is measured twice?
 
-Rooms are recorded first, into `sessions`; then each study writes results/NAME.json, whole, when its last row is there.
-The file says what it was made from: seed, effort, the sessions' scenes and the study's own source. A study whose file
-says the same is not run again. Tables, report and page are made from those files alone.
+Rooms are recorded first, into `sessions`; then each study writes results/NAME.json, whole, when its last row is
+there. The file says what it was made from: seed, effort, the sessions' scenes, weights of networks and the study's
+own source. A study whose file says the same is not run again. Tables, report and page are made from those files
+alone.
 """
 
 from __future__ import annotations
@@ -20,12 +21,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.json_records import Json, as_json, from_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.jobs import Job, Progress, part_of
@@ -34,7 +36,9 @@ from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, St
 from xihe_blender.lab.paper.report import paper_markdown, report_page
 from xihe_blender.lab.paper.sessions import QUICK_WALK, WalkSettings, check_session, recorded_session, scene_files
 from xihe_blender.report.document import write_document
-from xihenet import __version__
+from xihenet import __version__, estimators
+from xihenet.estimators import Target
+from xihenet.estimators.weights_format import weights_sha256
 
 SHARE_OF_RECORDING = 0.4
 MAX_SEED = 2**31 - 1
@@ -113,7 +117,7 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list
     walk = QUICK_WALK if settings.quick else WalkSettings()
     outputs = PaperOutputs(out)
     needs_rooms = any(study.needs_rooms for study in chosen)
-    for file in settings.scenes if needs_rooms else ():
+    for file in files if needs_rooms else ():
         check_session(file, outputs.session(file.stem), walk, settings.seed)
     decides = {"xihe": __version__, "scenes": hashes, "settings": {"quick": settings.quick, "seed": settings.seed}}
     FolderManifest(out, out / "settings.json", "an evaluation of the paper", decides, (outputs.report,)).take()
@@ -122,7 +126,7 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list
         job = recorded_session(file, outputs.session(file.stem), walk, settings.seed)
         share = SHARE_OF_RECORDING / len(files)
         sessions.append((yield from part_of(1, number * share, share, job, file.stem)))
-    inputs = json.dumps([decides, asdict(walk)])
+    inputs = study_inputs(decides, walk)
     yield from measure_studies(chosen, sessions, outputs, settings, inputs)
     kept = {study.name: kept_result(outputs, study, inputs) for study in all_studies()}
     results = [one for one in kept.values() if one is not None]
@@ -131,6 +135,12 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list
         write_document(settings.document, paper_markdown(all_studies(), results, command))
     yield Progress(1, 1, "measured and written")
     return results
+
+
+def study_inputs(decides: Json, walk: WalkSettings) -> str:
+    """All that the figures of a study depend on, besides its source: trained networks as well."""
+    weights = {target: weights_sha256(estimators.names(), target) for target in get_args(Target)}
+    return json.dumps([decides, asdict(walk), weights])
 
 
 def measure_studies(
