@@ -80,6 +80,8 @@ def test_a_part_that_may_help_or_harm_has_no_place_in_the_order():
     assert [part.name for part in item.best] == ["order_2"]
     assert "Whether network would help more is not certain" in item.advice
     assert budget_rows(item)[-1] == (PARTS["network"].label, 0.0, "not certain")
+    three = item_of(order_2=(0.05, 0.09), network=(-0.1, 0.3), coverage=(-0.1, 0.3), sampling=(-0.1, 0.3)).advice
+    assert "Whether network, coverage or sampling would help more" in three
     assert item_of(network=(-0.1, 0.3)).advice.startswith("No single part would surely help Ball much")
     assert item_of(network=(-0.1, 0.01)).advice.startswith("No single part would help Ball much")
 

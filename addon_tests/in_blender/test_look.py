@@ -19,7 +19,7 @@ from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.capture.turned_camera import turned_camera
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json
-from xihe_blender.io.look_results import LookResults
+from xihe_blender.io.look_results import LookAway, LookResults, ObjectAdvice
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.better_camera import (
     add_better_camera,
@@ -75,6 +75,25 @@ def test_the_advice_is_written_and_leaves_the_scene_as_it_was(scene, out):
     page = (out / "report.html").read_text()
     assert "A better path: room.blend" in page and page.count("data:image/png") == 1
     assert unfinished_files(out) == []
+
+
+def test_the_sentence_says_what_a_look_takes_and_rounds_no_gain_up():
+    turn = {
+        "frame": 31,
+        "words": "left",
+        "yaw_deg": 61.0,
+        "pitch_deg": 0.0,
+        "turn_deg": 61.0,
+        "hold_s": 1,
+        "whole_s": 2.6,
+    }
+    look = LookAway(**turn, place_m=(0.0, 0.0, 1.4), direction=(0.0, 1.0, 0.0))
+    of_ball = {"positions_m": ((0.0, 0.0, 0.0),), "coverage": 0.94, "gain": 0.05, "predicted_coverage": 0.97}
+    ball = ObjectAdvice(name="Ball", look=look, expected_error=0.0260, predicted_error=0.0249, **of_ball)
+    assert ball.sentence == (
+        "look left for 1 second at frame 31, 2.6 s with the turns. The share of directions that are seen rises from "
+        "94 % to 97 %, and the expected error falls from 0.026 to 0.025"
+    )
 
 
 def test_the_advice_goes_by_what_the_path_has_not_shown(scene, advice):

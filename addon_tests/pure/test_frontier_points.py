@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import pytest
+
 from xihe_blender.lab.frontier.answers import LAST_TENTH, answers
 from xihe_blender.lab.frontier.points import Measured, family, group, groups, points_of
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice
@@ -57,3 +59,14 @@ def test_answers_are_sentences_with_units():
     assert told[LAST_TENTH].strip() == (
         "Rendering: only balanced (4 samples), which takes 8 s a frame, lowers the error from 40% to 10%."
     )
+
+
+@pytest.mark.parametrize(
+    ("errors", "said"), [((0.5, 0.3), "2048 anchors, the most that"), ((0.3, 0.299), "512 anchors are enough")]
+)
+def test_as_many_anchors_as_were_measured_are_not_called_enough(errors, said):
+    choices = [ChoiceSettings(computing=ComputeChoice(n_anchors=n), estimates=1, steps=3) for n in (512, 2048)]
+    pairs = zip(choices, errors, strict=True)
+    own = [Measured(one.computing.label, one, {"coefficients_truth": (e**2,)}, (4.0,)) for one, e in pairs]
+    (answer,) = [one.answer for one in answers(["room"], points_of("room", {"compute": own}, seed=0))]
+    assert answer.startswith(said)

@@ -122,7 +122,8 @@ class ObjectBudget:
         then = " or ".join(dict.fromkeys(format_percent(self.relative(part.error)) for part in self.best))
         falls = f"its error would fall from {now} to {then} of its brightness."
         doubts = ["Which of them helps more is not certain."] if len(self.best) > 1 else []
-        open_ones = " or ".join(PARTS[part.name].label.lower() for part in self._may_help_more(self.best[0].low))
+        *some, last = ["", *(PARTS[part.name].label.lower() for part in self._may_help_more(self.best[0].low))]
+        open_ones = " or ".join(filter(None, [", ".join(some[1:]), last]))
         doubts += [f"Whether {open_ones} would help more is not certain."] if open_ones else []
         return " ".join([f"What would help {self.name} most is {perfect}: {falls}", *doubts])
 

@@ -70,12 +70,15 @@ class ObjectAdvice:
             )
         look = self.look
         seconds = f"{look.hold_s:g} second{'' if look.hold_s == 1 else 's'}"
-        said = f"look {look.words} for {seconds} at frame {look.frame}: "
-        said += f"directions seen from {format_percent(self.coverage)} to {format_percent(self.predicted_coverage)}"
+        said = (
+            f"look {look.words} for {seconds} at frame {look.frame}, {look.whole_s:.1f} s with the turns. The share of "
+        )
+        rise = f"{format_percent(self.coverage)} to {format_percent(self.predicted_coverage)}"
+        said += f"directions that are seen rises from {rise}"
         if self.expected_error is not None and self.predicted_error is not None:
-            now, then = f"{self.expected_error:.2f}", f"{self.predicted_error:.2f}"
+            now, then = f"{self.expected_error:.3f}", f"{self.predicted_error:.3f}"
             if self.predicted_error < self.expected_error and now != then:
-                return said + f", expected error from {now} to {then}"
+                return said + f", and the expected error falls from {now} to {then}"
             said += f", but the estimator expects no smaller error than {now}"
         return said
 

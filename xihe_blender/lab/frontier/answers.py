@@ -55,10 +55,14 @@ def _anchors(points: Sequence[FrontierPoint]) -> str:
     listed = "; ".join(f"{p.computing.n_anchors}: {_light_and_time(p)}" for p in own)
     least = min(p.error for p in own)
     fewest = next(p for p in own if p.error - least <= GOOD_ENOUGH)
-    return (
-        f"{fewest.computing.n_anchors} anchors are enough: no other number brings the estimate closer to the rendered "
-        f"light probe by more than {GOOD_ENOUGH:.0%} of the light. {ERROR_AND_TIME}, by anchors: {listed}."
-    )
+    n = fewest.computing.n_anchors
+    words = f"{n} anchors, the most that were measured, bring the estimate closest to the rendered light probe"
+    if fewest is not own[-1]:
+        words = (
+            f"{n} anchors are enough: no other number brings the estimate closer to the rendered light probe by more "
+            f"than {GOOD_ENOUGH:.0%} of the light"
+        )
+    return f"{words}. {ERROR_AND_TIME}, by anchors: {listed}."
 
 
 def _how_often(points: Sequence[FrontierPoint]) -> str:
@@ -66,8 +70,8 @@ def _how_often(points: Sequence[FrontierPoint]) -> str:
     if not own:
         return ""
     words = [
-        f"theta {p.computing.theta:g}, {p.settings.estimates} estimates in {p.settings.steps} steps: "
-        f"{_light_and_time(p)}"
+        f"theta {p.computing.theta:g}, {format_count(p.settings.estimates or 0, 'estimate')} in "
+        f"{format_count(p.settings.steps or 0, 'step')}: {_light_and_time(p)}"
         for p in own
     ]
     return f"{ERROR_AND_TIME}, by the trigger's threshold: {'; '.join(words)}."
