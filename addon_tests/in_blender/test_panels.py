@@ -78,8 +78,8 @@ def test_several_estimators_stand_in_a_table_with_the_best_picture_first(run_fol
     }
     (run_folder / "results.json").write_text(json.dumps(several), encoding="utf-8")
     assert panels.method_rows(reader.last_run(str(run_folder))) == [
-        ("projection", "0.125", "0.100", "0.5 ms"),
-        ("lattice", "0.250", "0.200", "1.2 ms"),
+        ("projection", "0.125", "0.100", "0.5"),
+        ("lattice", "0.250", "0.200", "1.2"),
         ("ambient", "0.500", "none", "none"),
     ]
 

@@ -38,6 +38,7 @@ N_NAMED = 6
 N_EFFECTS = 8
 N_WARNINGS = 3
 LABEL_SHARE = 0.42
+METHOD_SHARE = 0.34
 PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
 RUN_SCALE = 1.5
@@ -56,7 +57,7 @@ EXPECTED_ERROR = (
 METHODS = (
     "Light: mean distance from the rendered light probe, in spherical-harmonic coefficients. Picture: root mean square "
     "error of the lit objects, in linear colour, against the ground truth. 0 is perfect; the best picture stands first"
-    ". Time: of one estimate on this machine, in milliseconds"
+    ". ms: milliseconds that one estimate took on this machine"
 )
 AMBIENT_ERROR = "The same distance for one even light as bright as the captured picture, which every phone can offer"
 COVERAGE = (
@@ -406,9 +407,11 @@ def _draw_looks(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
 def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:
     """A table of the estimators of a run: the error of their light and of the pictures of the lit objects, and time."""
     row = layout.box().row(align=True)
-    columns = [row.column(align=True) for _ in range(4)]
+    split = row.split(factor=METHOD_SHARE, align=True)  # Even widths would cut names off.
+    names, figures = split.column(align=True), split.row(align=True)
+    columns = [names, *(figures.column(align=True) for _ in range(3))]
     row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = METHODS
-    for cells in [("Estimator", "Light", "Picture", "Time"), *method_rows(run)]:
+    for cells in [("Estimator", "Light", "Picture", "ms"), *method_rows(run)]:
         for column, cell in zip(columns, cells, strict=True):
             column.label(text=cell, translate=False)
 
@@ -419,7 +422,7 @@ def method_rows(run: RunResults) -> list[tuple[str, str, str, str]]:
     rmse = {name: None if name not in run.comparison else run.comparison[name].rmse for name in lights}
     best_first = sorted(lights, key=lambda name: math.inf if (error := rmse[name]) is None else error)
     return [
-        (name, _number(lights[name], ".3f"), _number(rmse[name], ".3f"), _number(times.get(name), ".1f", " ms"))
+        (name, _number(lights[name], ".3f"), _number(rmse[name], ".3f"), _number(times.get(name), ".1f"))
         for name in best_first
     ]
 
