@@ -33,7 +33,7 @@ TEST_PACKAGES ?= build/test_packages/$(BLENDER_PYTHON)
 	scenes weights clean
 
 previs: $(VENV)/installed
-	$(BIN)/xihe previs blend_scenes/living_room.blend --out $(OUT) --preset draft \
+	$(BIN)/xihe previs blend_scenes/living_room.blend --out "$(OUT)" --preset draft \
 		$(if $(FRAMES),--frames $(FRAMES))
 
 # A process per core, and in each one thread for matrices, or they wait for each other. A file's tests stay together, since
@@ -50,7 +50,7 @@ hard-cases: $(VENV)/installed
 # Needs node and Chromium; see CONTRIBUTING.md.
 prove-exports: $(VENV)/installed
 	npm install --prefix addon_tests/engines --no-package-lock --no-audit --no-fund --silent
-	$(BIN)/python addon_tests/engines/prove.py $(OUT)/prove
+	$(BIN)/python addon_tests/engines/prove.py "$(OUT)/prove"
 
 fuzz: $(VENV)/installed
 	$(BIN)/python addon_tests/fuzz.py --minutes $(MINUTES)
@@ -67,7 +67,7 @@ test-extension: $(VENV)/installed
 	XIHE_BLENDER="$(BLENDER)" $(BIN)/python -m pytest -n 2 --dist loadfile addon_tests/real_blender
 
 package: $(VENV)/installed
-	$(BIN)/xihe package --out $(OUT)
+	$(BIN)/xihe package --out "$(OUT)"
 
 check: $(VENV)/installed
 	$(BIN)/ruff format --check .

@@ -93,6 +93,10 @@ def test_the_session_of_the_docs_runs():
     assert known["session"].settings.trigger == REPLAY_TRIGGER
 
 
+def test_the_folder_that_make_is_given_may_have_spaces_in_its_name():
+    assert set(re.findall(r".\$\(OUT\)", (ROOT / "Makefile").read_text(encoding="utf-8"))) == {'"$(OUT)'}
+
+
 @pytest.mark.parametrize("words", words_of("make"), ids=shown)
 def test_make_targets_of_the_docs_exist(words):
     targets = [word for word in words if "=" not in word]
