@@ -153,7 +153,7 @@ def _facts(platform: str, convention: Convention, reading: str | None) -> dict[s
 def _said_of_pictures(platform: str) -> str:
     return (
         f"equirectangular, seen from within: the top row is up, the middle column looks along Blender's "
-        f"{TAKE_PICTURES.get(platform, '+X')}, what lies to the right of that is to the right"
+        f"{PLATFORMS[platform].picture or REFLECTIONS}, what lies to the right of that is to the right"
     )
 
 
