@@ -105,7 +105,9 @@ def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
     if context.area is not None and context.area.type == "VIEW_3D":
         space = context.area.spaces.active
         shown = [line for line in FLOOR if getattr(space.overlay, line)]
-        before = " ".join([space.shading.type, space.region_3d.view_perspective, *shown])
+        view = space.region_3d
+        place = [*view.view_rotation, *view.view_location, view.view_distance]
+        before = " ".join([space.shading.type, view.view_perspective, *map(str, place), *shown])
         lit[VIEW_BEFORE] = before = _views.setdefault(context.area.as_pointer(), before)
         space.shading.type, space.region_3d.view_perspective = "RENDERED", "CAMERA"
         for line in FLOOR:
@@ -120,8 +122,12 @@ def _put_views_back() -> None:
 
 
 def _put_back(area: bpy.types.Area, before: str) -> None:
-    space = area.spaces.active
-    space.shading.type, space.region_3d.view_perspective, *shown = before.split()
+    space, view = area.spaces.active, area.spaces.active.region_3d
+    space.shading.type, view.view_perspective, *shown = before.split()
+    place = [float(word) for word in shown if not word.startswith("show_")]
+    # Through a camera, Blender forgets from where the view looked before; a file of an earlier version holds none.
+    if place and view.view_perspective != "CAMERA":
+        view.view_rotation, view.view_location, view.view_distance = place[:4], place[4:7], place[7]
     for line in FLOOR:
         setattr(space.overlay, line, line in shown)
 

@@ -33,6 +33,8 @@ def test_a_few_clicks_lead_from_an_open_room_to_a_lit_object(first_success):
     for on_screen, in_picture in colours.values():
         assert on_screen == pytest.approx(in_picture, abs=0.1), "the captured frame, and the ball under its light"
     assert facts["back"] == facts["back_by_menu"] == {"scene": "Scene", "shading": "SOLID", "floor": True}
+    before, after = facts["from_aside"]
+    assert before == after
     assert {"Xihe Comparison", "Xihe Light Ball"} <= set(facts["after"]["images"])
     assert any(name.startswith("Xihe trigger") for name in facts["after"]["markers"])
     assert facts["after"]["scenes"] == []

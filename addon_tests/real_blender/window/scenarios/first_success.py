@@ -84,6 +84,9 @@ def see_it_lit(w):
     yield 1
     w.facts["back"] = {"scene": w.window.scene.name, "shading": space.shading.type}
     w.facts["back"]["floor"] = space.overlay.show_floor
+    view = space.region_3d
+    view.view_perspective, view.view_rotation, view.view_distance = "PERSP", (0.8, 0.6, 0.0, 0.0), 5.0
+    w.facts["from_aside"] = [from_where(view)]
     with w.context():
         bpy.ops.xihe.show_lit()
     yield 0.5
@@ -92,6 +95,8 @@ def see_it_lit(w):
     yield 0.5
     w.facts["back_by_menu"] = {"scene": w.window.scene.name, "shading": space.shading.type}
     w.facts["back_by_menu"]["floor"] = space.overlay.show_floor
+    w.facts["from_aside"].append(from_where(view))
+    view.view_perspective = "CAMERA"
     yield from w.picture("4_back")
 
 
@@ -201,6 +206,10 @@ def undo_and_redo(w):
     yield from press_until(w, "ctrl+shift+z", lambda: left_in_file() == w.facts["after"])
     w.facts["redone"] = left_in_file()
     yield from w.picture("8_redone")
+
+
+def from_where(view):
+    return [round(number, 4) for number in (*view.view_rotation, *view.view_location, view.view_distance)]
 
 
 def view_now(w):
