@@ -16,6 +16,7 @@ from xihe_blender.lab.batch.answers import (
     trigger_points,
     worst_cases,
 )
+from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.report import report_page
 from xihe_blender.lab.batch.results import BatchFolder
 from xihe_blender.lab.frontier.records import Answer, ComputeChoice, FrontierPoint, PointSettings
@@ -131,6 +132,15 @@ def test_the_time_of_a_step_stands_beside_the_error_of_each_estimator(tmp_path):
     page = report_page(folder_with_pictures(tmp_path, trials), replace(whole, units=units), None)
     told = re.findall(r'"time of a step, median"><span>(.*?)</span>', page)
     assert told == ["4.25\u202fms", DASH]
+
+
+def test_the_page_says_with_which_settings_it_was_made(tmp_path):
+    settings = BatchSettings(size=(64, 48), frames=(1, 2, 3, 9), samples=4)
+    made = replace(results(batch(1)), settings=settings, software={"xihe": "0.1.0", "blender": "4.5.15"})
+    page = report_page(BatchFolder(tmp_path), made, None)
+    assert page == report_page(BatchFolder(tmp_path), made, None)
+    said = plain(part(page, "made"))
+    assert all(words in said for words in ("--size64x48", "--frames1\u20133, 9", "--samples4", "--seeds0, 1", "4.5.15"))
 
 
 def test_a_resumed_unit_says_why_it_rendered_longer_than_it_took(tmp_path):

@@ -29,6 +29,7 @@ from xihenet.formats import (
     format_number,
     format_percent,
     format_quantity,
+    format_runs,
 )
 
 N_WORST = 6
@@ -55,6 +56,7 @@ def report_page(folder: BatchFolder, results: BatchResults, frontier: Frontier |
             *_from_frontier(frontier),
             ("worst", "Worst cases", _worst(folder, trials)),
             ("numbers", "Numbers", _by_scene(trials) + _quantiles(trials) + _costs(results.units)),
+            ("made", "How it was made", _how_made(results)),
         ]
     return document("Batch evaluation", f'<p class="lead">{lead}</p>', sections, has_links=False, style=LAB_STYLE)
 
@@ -259,6 +261,23 @@ def _picture(path: Path) -> str:
 
 
 # ----------------------------------------------------------------------------------------------------------- numbers
+
+
+def _how_made(results: BatchResults) -> str:
+    """What all trials share, by the names of the command's options, and the versions."""
+    chosen = results.settings
+    rows = [
+        ("--preset", chosen.preset),
+        ("--target", chosen.target),
+        ("--light", chosen.light),
+        ("--size", "256x192, of upright scenes 192x256" if chosen.size is None else "{}x{}".format(*chosen.size)),
+        ("--frames", "all of each scene's" if chosen.frames is None else format_runs(chosen.frames)),
+        ("--samples", "as many as the preset's noise target needs" if chosen.samples is None else str(chosen.samples)),
+        ("--network", "none: estimates arrive at once" if chosen.network is None else chosen.network),
+        ("--seeds", ", ".join(map(str, answers.names_of(results.trials, "seed")))),
+        *((f"version of {name}", version) for name, version in results.software.items()),
+    ]
+    return table(("setting", "value"), [(code(name), escape(value)) for name, value in rows], "words stacking")
 
 
 def _by_scene(trials: Sequence[Trial]) -> str:

@@ -290,7 +290,7 @@ def batch_results(
                 trials.append(Trial(number=number, **name, **(vars(one) | {"phone": phone})))
             rows.append(UnitRow(render_s=result.render_s, step_ms=result.step_ms, **name, **vars(result.cost)))
     return BatchResults(
-        software={"xihe": __version__},
+        software={"xihe": __version__} | ({} if (blender := _blender_version()) is None else {"blender": blender}),
         settings=settings,
         trials=tuple(trials),
         units=tuple(rows),
