@@ -156,6 +156,14 @@ def test_what_is_no_json_is_one_kind_of_error_that_names_the_file(tmp_path, cont
         read_json(tmp_path / "a.json")
 
 
+@pytest.mark.parametrize("content", ["{}".encode("utf-16"), '{"a": "é"}'.encode("latin-1")])
+def test_json_in_another_encoding_is_told_what_to_do(tmp_path, content):
+    """As `>` of Windows' PowerShell writes it, and old editors."""
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.json: expected JSON in UTF-8, .* save it in that encoding"):
+        read_json(tmp_path / "a.json")
+
+
 @pytest.mark.parametrize("n_digits", [1, 20, 307, 308, 309, 400, 10_000])
 def test_a_whole_number_of_any_length_is_one_that_a_float_can_hold(n_digits):
     digits = "9" * n_digits

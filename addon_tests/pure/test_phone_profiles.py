@@ -109,7 +109,7 @@ def test_a_mistake_is_one_line_that_names_file_and_key(tmp_path, text, says):
 def test_a_file_that_is_not_text_is_refused_by_name(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match=r"mine\.toml: this is no TOML file"):
+    with pytest.raises(ValueError, match=r"mine\.toml: this is no TOML file.* in UTF-8: save it"):
         load_profile(path)
 
 

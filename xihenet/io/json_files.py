@@ -29,6 +29,8 @@ def read_json(path: Path) -> Any:
     """What the file says. OSError if it cannot be read, ValueError that names it if it is no JSON."""
     try:
         return parse_json(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: expected JSON in UTF-8, which this is not: save it in that encoding") from None
     except ValueError as error:
         raise ValueError(f"{path}: expected JSON, and could not read it ({error})") from None
 

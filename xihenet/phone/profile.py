@@ -101,6 +101,8 @@ def load_profile(name_or_path: str | Path) -> PhoneProfile:
         )
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError:
+        raise ValueError(f"{path}: this is no TOML file, which is in UTF-8: save it in that encoding") from None
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: this is no TOML file ({error})") from None
     except RecursionError:
