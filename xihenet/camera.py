@@ -342,7 +342,7 @@ def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
 
 def pixel_rays(intrinsics: Intrinsics) -> ArrayF64:
     """(H, W, 3) the ray through each pixel, in camera axes, at plane depth 1; infinite where it is beyond float64."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # A focal length near 0 has rays that no float holds.
         across = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
         up = -(np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
     return np.stack(np.broadcast_arrays(across[None, :], up[:, None], np.float64(-1)), axis=-1)
