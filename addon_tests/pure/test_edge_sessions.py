@@ -17,6 +17,7 @@ from xihenet.edge.sessions import (
 )
 from xihenet.edge.sharing import re_exposed, with_others
 from xihenet.records import UnitSphereCloud
+from xihenet.sampling import sample_again
 from xihenet.sphere import AnchorLattice
 
 
@@ -77,6 +78,13 @@ def test_re_exposing_clips_at_white_and_keeps_black():
     assert re_exposed(cloud, 1.0) is cloud
     assert np.isclose(re_exposed(cloud, 1e6).srgb.max(), 1) and not re_exposed(cloud, 4.0).srgb[~cloud.is_set].any()
     assert np.allclose(re_exposed(re_exposed(cloud, 0.25), 4.0).srgb, cloud.srgb, atol=1e-6)
+
+
+def test_a_re_exposed_cloud_lies_where_it_lay():
+    lattice = AnchorLattice(64)
+    moved = sample_again(random_cloud(np.random.default_rng(5), 64), [0.1, 0, 0], lattice)
+    again, expected = (sample_again(one, [0.1, 0, 0], lattice) for one in (re_exposed(moved, 0.5), moved))
+    assert np.array_equal(again.distance_m, expected.distance_m)
 
 
 def test_metrics_are_prometheus_text():

@@ -344,12 +344,13 @@ def test_in_a_full_memory_sessions_are_used_and_forgotten_as_before(redis_server
             client.config_set("maxmemory", 0)
 
 
-def made_position(rng, n, *, is_bare=False):
+def made_position(rng, n, *, is_bare=False, has_moved=False):
     cloud = random_cloud(rng, n)
     if is_bare:
         return SeenPosition(cloud)
     facing = AnchorSurfaces.of_facing(rng.uniform(-1, 1, n) * cloud.is_set)
-    cloud = UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=facing)
+    beside_m = rng.normal(size=(n, 3)) * cloud.is_set[:, None] if has_moved else None
+    cloud = UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=facing, beside_m=beside_m)
     key = KeyLight(rng.normal(size=3), rng.random(3), float(rng.random()), bool(rng.integers(2)))
     return SeenPosition(cloud, float(rng.uniform(1e-6, 1e6)), rng.normal(size=3), key, int(rng.integers(2**32)))
 
@@ -363,15 +364,18 @@ def assert_equal(a, b):
         assert np.array_equal(a.position_m, b.position_m)
     if a.cloud.surfaces is not None:
         assert np.array_equal(a.cloud.surfaces.facing, b.cloud.surfaces.facing)
+    assert (a.cloud.beside_m is None) == (b.cloud.beside_m is None)
+    if a.cloud.beside_m is not None:
+        assert np.array_equal(a.cloud.beside_m, b.cloud.beside_m)
     if a.key is not None:
         assert np.array_equal(a.key.direction, b.key.direction) and np.array_equal(a.key.irradiance, b.key.irradiance)
         assert (a.key.angular_radius, a.key.is_seen) == (b.key.angular_radius, b.key.is_seen)
 
 
-@given(seed=st.integers(0, 2**32), n=st.integers(0, 70), is_bare=st.booleans())
+@given(seed=st.integers(0, 2**32), n=st.integers(0, 70), is_bare=st.booleans(), has_moved=st.booleans())
 @settings(max_examples=100, deadline=None)
-def test_a_position_is_the_same_after_its_bytes(seed, n, is_bare):
-    seen = made_position(np.random.default_rng(seed), n, is_bare=is_bare)
+def test_a_position_is_the_same_after_its_bytes(seed, n, is_bare, has_moved):
+    seen = made_position(np.random.default_rng(seed), n, is_bare=is_bare, has_moved=has_moved)
     assert_equal(position_from_bytes(position_to_bytes(seen)), seen)
 
 
@@ -387,12 +391,18 @@ def test_a_cloud_as_phones_send_it_is_the_same_after_its_bytes_and_short(seed, n
         assert len(stored) == len(position_to_bytes(SeenPosition(UnitSphereCloud.empty(n)))) + each * n_set
 
 
-@given(seed=st.integers(0, 2**32), at=st.integers(0, 10_000), put=st.binary(max_size=8), cut=st.booleans())
-@example(seed=0, at=4041, put=b"\x00\x80\x7f", cut=False)
-@example(seed=0, at=1993, put=b"\x00\x80\x7f", cut=False)
+@given(
+    seed=st.integers(0, 2**32),
+    at=st.integers(0, 10_000),
+    put=st.binary(max_size=8),
+    cut=st.booleans(),
+    has_moved=st.booleans(),
+)
+@example(seed=0, at=4041, put=b"\x00\x80\x7f", cut=False, has_moved=False)
+@example(seed=0, at=1993, put=b"\x00\x80\x7f", cut=False, has_moved=False)
 @settings(max_examples=200, deadline=None)
-def test_bytes_that_were_changed_are_refused_or_a_legal_position(seed, at, put, cut):
-    stored = position_to_bytes(made_position(np.random.default_rng(seed), 9))
+def test_bytes_that_were_changed_are_refused_or_a_legal_position(seed, at, put, cut, has_moved):
+    stored = position_to_bytes(made_position(np.random.default_rng(seed), 9, has_moved=has_moved))
     at %= len(stored)
     changed = stored[:at] + put + (b"" if cut else stored[at + len(put) :])
     try:
@@ -407,8 +417,9 @@ NOT_FINITE = [np.nan, np.inf, -np.inf]
 
 @pytest.mark.parametrize("value", NOT_FINITE)
 def test_a_number_that_is_not_finite_is_refused(value):
-    seen = made_position(np.random.default_rng(1), 9)
-    bare = position_to_bytes(SeenPosition(seen.cloud))
+    rng = np.random.default_rng(1)
+    seen = made_position(rng, 9)
+    bare, moved = position_to_bytes(SeenPosition(seen.cloud)), position_to_bytes(made_position(rng, 9, has_moved=True))
     for stored, at, kind in [
         (position_to_bytes(seen), 18, "<f8"),  # exposure
         (position_to_bytes(seen), 26, "<f8"),  # position
@@ -416,6 +427,7 @@ def test_a_number_that_is_not_finite_is_refused(value):
         (bare, 28, "<f4"),  # colour of the first set anchor
         (bare, len(bare) - 4 * (1 + int(seen.cloud.is_set.sum())), "<f4"),  # distance of the last one
         (bare, len(bare) - 4, "<f4"),  # facing of the last one
+        (moved, len(moved) - 4, "<f4"),  # what the last one shows
     ]:
         changed = bytearray(stored)
         changed[at : at + np.dtype(kind).itemsize] = np.array([value], kind).tobytes()

@@ -8,6 +8,7 @@ lie behind a wall. It is therefore asked for request by request, counts for that
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -50,4 +51,4 @@ def re_exposed(cloud: UnitSphereCloud, gain: float) -> UnitSphereCloud:
     if gain == 1.0:
         return cloud
     srgb = linear_to_srgb(srgb_to_linear(cloud.srgb) * np.float32(gain))
-    return UnitSphereCloud(srgb, cloud.distance_m, cloud.is_set, cloud.invalid, cloud.surfaces)
+    return replace(cloud, srgb=srgb)

@@ -5,7 +5,8 @@ the bytes are none of ours. A session is JSON behind its version, a position pac
 
     version (1 byte), mark (8), frames (4), flags (1), anchors (4), exposure (8), position if known (3 x 8),
     key light if known (7 x 8 and 1), a bit for each anchor that says whether it is set, and for the set ones colours
-    (6 each, or 12), distances (2, or 4) and, where surfaces are known, facing (4)
+    (6 each, or 12), distances (2, or 4) and, where surfaces are known, facing (4); where the position has moved, by how
+    much what they show lies beside their direction (3 x 4)
 
 Colours and distances lose nothing, so that the light is what one process would give: as they come from phones, 16 bits
 hold them, and they are float32 where they were moved or re-exposed. What a cloud's frame
@@ -31,7 +32,7 @@ from xihenet.records import AnchorSurfaces, ArrayF32, ArrayF64, KeyLight, UnitSp
 
 VERSION = 1
 _HEAD, _VECTOR, _KEY = struct.Struct("<BQIBId"), struct.Struct("<3d"), struct.Struct("<7d?")
-_HAS_POSITION, _HAS_KEY, _HAS_SURFACES, _IS_SHORT = 1, 2, 4, 8
+_HAS_POSITION, _HAS_KEY, _HAS_SURFACES, _IS_SHORT, _HAS_MOVED = 1, 2, 4, 8, 16
 _CODES = np.float32(65535)
 _HASH = re.compile("[0-9a-f]{64}")
 
@@ -85,6 +86,7 @@ def position_to_bytes(seen: SeenPosition) -> bytes:
         + _HAS_POSITION * (seen.position_m is not None)
         + _HAS_KEY * (key is not None)
         + _HAS_SURFACES * (cloud.surfaces is not None)
+        + _HAS_MOVED * (cloud.beside_m is not None)
     )
     parts = [_HEAD.pack(VERSION, seen.mark, seen.n_frames, flags, len(cloud), seen.exposure)]
     if seen.position_m is not None:
@@ -95,6 +97,8 @@ def position_to_bytes(seen: SeenPosition) -> bytes:
     parts += [column.tobytes() for column in columns]
     if cloud.surfaces is not None:
         parts.append(cloud.surfaces.facing[anchors].astype("<f4", copy=False).tobytes())
+    if cloud.beside_m is not None:
+        parts.append(cloud.beside_m[anchors].astype("<f4", copy=False).tobytes())
     return b"".join(parts)
 
 
@@ -123,7 +127,7 @@ def position_from_bytes(stored: bytes) -> SeenPosition:
             at += _KEY.size
     except struct.error as error:
         raise ValueError(f"position: {error}") from None
-    if version != VERSION or flags > 15 or n_anchors > MAX_STRIPPED_ANCHORS or not 0 < exposure < math.inf:
+    if version != VERSION or flags > 31 or n_anchors > MAX_STRIPPED_ANCHORS or not 0 < exposure < math.inf:
         raise ValueError(f"position: expected version {VERSION} and its fields, got others")
     with np.errstate(invalid="ignore"):  # A NaN that signals is refused as any other is.
         cloud = _cloud_from(stored, at, n_anchors, flags)
@@ -141,10 +145,16 @@ def _cloud_from(stored: bytes, at: int, n_anchors: int, flags: int) -> UnitSpher
     n_bits = -(-n_anchors // 8)
     bits = np.frombuffer(stored[at : at + n_bits], np.uint8)
     is_set = np.unpackbits(bits, count=n_anchors).astype(bool)
-    n_set, has_surfaces = int(np.count_nonzero(is_set)), bool(flags & _HAS_SURFACES)
+    n_set = int(np.count_nonzero(is_set))
+    has_surfaces, has_moved = bool(flags & _HAS_SURFACES), bool(flags & _HAS_MOVED)
     colour, distance = ("<u2", "<f2") if flags & _IS_SHORT else ("<f4", "<f4")
     record = np.dtype(
-        [("srgb", colour, (3 * n_set,)), ("distance_m", distance, (n_set,)), ("facing", "<f4", (n_set * has_surfaces,))]
+        [
+            ("srgb", colour, (3 * n_set,)),
+            ("distance_m", distance, (n_set,)),
+            ("facing", "<f4", (n_set * has_surfaces,)),
+            ("beside_m", "<f4", (3 * n_set * has_moved,)),
+        ]
     )
     at += n_bits
     if len(stored) != at + record.itemsize:
@@ -154,12 +164,15 @@ def _cloud_from(stored: bytes, at: int, n_anchors: int, flags: int) -> UnitSpher
         columns = np.frombuffer(stored, record, 1, at)[0]
         srgb[is_set] = columns["srgb"].reshape(-1, 3) / (_CODES if flags & _IS_SHORT else np.float32(1))
         distance_m[is_set] = columns["distance_m"]
-    surfaces = None
+    surfaces, beside_m = None, None
     if has_surfaces:
         facing = np.zeros(n_anchors, np.float32)
         facing[is_set] = _finite(columns["facing"]) if n_set else 0
         surfaces = AnchorSurfaces.of_facing(facing)
-    return UnitSphereCloud(srgb, distance_m, is_set, surfaces=surfaces)
+    if has_moved:
+        beside_m = np.zeros((n_anchors, 3), np.float32)
+        beside_m[is_set] = _finite(columns["beside_m"]).reshape(-1, 3) if n_set else 0
+    return UnitSphereCloud(srgb, distance_m, is_set, surfaces=surfaces, beside_m=beside_m)
 
 
 def _finite(numbers: object) -> ArrayF64:
