@@ -10,6 +10,7 @@ from scene_snapshot import differences, snapshot
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, pictures_needed, run_time_job
+from xihe_blender.scene.virtual_objects import virtual_collection
 
 
 @pytest.mark.slow
@@ -23,6 +24,15 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene():
     assert all(0 < n < many.renders[kind][0] for kind, (n, _) in few.renders.items()) and len(few.renders) == 3
     assert few.total_s > 0
     assert differences(before, snapshot()) == ({}, [])
+
+
+@pytest.mark.slow
+def test_a_run_that_never_sees_its_object_has_a_time_too():
+    scene = walk()
+    for item in virtual_collection(scene).all_objects:
+        item.location.z = -50
+    time = run_blocking(run_time_job(scene, replace(SMALL, frames=(1, 2))))
+    assert time.renders["probe"][0] == 0 < time.renders["capture"][0] and time.total_s > 0
 
 
 def test_a_run_of_more_frames_takes_longer_in_proportion():

@@ -125,6 +125,8 @@ def _timed_probe(run: PreparedRun) -> tuple[float, RenderTime]:
     """
     probes = {probe.name: (index, probe) for index, probe in enumerate(run.plan.probes)}
     rendered = [(frame, name) for (frame, name), source in run.reuse.probes.items() if source == frame]
+    if not rendered:  # No position is ever in view.
+        return 0.0, RenderTime(0.0, 0.0, 0)
     times_s, counts = [], []
     with run.open_probes(run.plan.probes) as reference_probe:
         few = min(FEWEST_SAMPLES, run.reference.max_samples)
