@@ -1,7 +1,9 @@
 """Which trials make up a batch, and whose folder it is."""
 
 import json
+import sys
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import pytest
 from jsonschema import Draft202012Validator
@@ -84,6 +86,13 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     (tmp_path / "out" / "batch.json").write_text(json.dumps(content | {"blender": "4.1"}))
     with pytest.raises(UserError, match="another version of Blender"):
         folder.manifest(SETTINGS).take()
+
+
+def test_a_batch_in_a_whole_blender_knows_its_version(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(version=(4, 3, 2))))
+    folder = BatchFolder(tmp_path / "out")
+    folder.manifest(SETTINGS).take()
+    assert json.loads((tmp_path / "out" / "batch.json").read_text())["blender"] == "4.3.2"
 
 
 def test_a_folder_in_which_all_was_refused_is_free_for_any_batch(tmp_path):

@@ -17,7 +17,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -29,6 +28,7 @@ from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.run_results import Metrics
 from xihe_blender.lab.batch.grid import FORMAT_VERSION, BatchSettings, Unit
 from xihe_blender.lab.frontier.records import Frontier
+from xihe_blender.lab.workers.dask_workers import blender_version
 from xihenet import __version__
 from xihenet.estimators.weights_format import weights_sha256
 from xihenet.io.json_files import read_json
@@ -183,7 +183,7 @@ class BatchManifest:
 
     format: Annotated[int, "version of the folder's files"]
     xihe: Annotated[str, "version of xihe"]
-    blender: Annotated[str | None, "version of Blender as a Python module; None where it is not one"] = None
+    blender: Annotated[str | None, "version of Blender; None where there is none"] = None
     settings: Annotated[BatchSettings, "what all units share"]
     profiles: Annotated[dict[str, PhoneUsed], "its phones"]
     weights: Annotated[dict[str, str], "SHA-256 of each network's weights file, by estimator"]
@@ -193,14 +193,6 @@ WHICH = ("scene", "seed", "phone", "estimator")
 TRIAL_COLUMNS = (*WHICH[:2], *(part.name for part in fields(TrialFigures) if part.name not in ("frames", "thetas")))
 FRAME_COLUMNS = (*WHICH, *(part.name for part in fields(TrialFrame)))
 UNIT_COLUMNS = ("unit", "scene", "seed", "elapsed_s", "processor_s", "render_s", "peak_memory_mb", "written_bytes")
-
-
-def _blender_version() -> str | None:
-    """Asked of the package: a batch must not load Blender."""
-    try:
-        return metadata.version("bpy")
-    except metadata.PackageNotFoundError:
-        return None
 
 
 def result_file(unit_folder: Path) -> Path:
@@ -246,7 +238,7 @@ class BatchFolder:
         content = BatchManifest(
             format=FORMAT_VERSION,
             xihe=__version__,
-            blender=_blender_version(),
+            blender=blender_version(),
             settings=settings,
             profiles=phones,
             weights=weights,
@@ -290,7 +282,7 @@ def batch_results(
                 trials.append(Trial(number=number, **name, **(vars(one) | {"phone": phone})))
             rows.append(UnitRow(render_s=result.render_s, step_ms=result.step_ms, **name, **vars(result.cost)))
     return BatchResults(
-        software={"xihe": __version__} | ({} if (blender := _blender_version()) is None else {"blender": blender}),
+        software={"xihe": __version__} | ({} if (blender := blender_version()) is None else {"blender": blender}),
         settings=settings,
         trials=tuple(trials),
         units=tuple(rows),

@@ -96,9 +96,9 @@ class DaskWorkers:
             if version != __version__:
                 raise UserError(f"worker {worker} has xihe {version} and this is {__version__}: install the same")
             if blender != blender_version():
+                there, here = map(_format_blender, (blender, blender_version()))
                 raise UserError(
-                    f"worker {worker} has {_told(blender)} and this is {_told(blender_version())}, which may "
-                    "render otherwise: install the same"
+                    f"worker {worker} has {there} and this is {here}, which may render otherwise: install the same"
                 )
             if unusable:
                 raise UserError(f"worker {worker} cannot use {unusable[0]}: all workers need it under the same path")
@@ -144,7 +144,7 @@ class DaskWorkers:
         self.shares[name] = share
 
 
-def _told(blender: str | None) -> str:
+def _format_blender(blender: str | None) -> str:
     return "no Blender as a Python module" if blender is None else f"Blender {blender}"
 
 
