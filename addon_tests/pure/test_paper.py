@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from xihe_blender.lab.paper.records import Place, Row, Session, Study, StudyOpti
 from xihe_blender.lab.paper.report import paper_markdown, report_page
 from xihe_blender.lab.paper.studies.anchors_uniform import GridAnchors
 from xihe_blender.lab.paper.studies.probes import inside_rim
+from xihenet import estimators
 from xihenet.edge.bench import seen_frame
 
 SETTINGS = paper.PaperSettings(quick=True)
@@ -91,6 +93,13 @@ def test_studies_are_measured_again_with_networks_of_another_training(monkeypatc
     before = paper.study_inputs({}, paper.QUICK_WALK)
     monkeypatch.setattr(paper, "weights_sha256", lambda names, target: {"lattice": f"{target}, trained anew"})
     assert paper.study_inputs({}, paper.QUICK_WALK) != before
+
+
+def test_studies_are_kept_where_another_package_offers_an_estimator(monkeypatch):
+    before = paper.study_inputs({}, paper.QUICK_WALK)
+    evenly = EntryPoint("evenly", "evenly:Evenly", estimators.OUTSIDE)
+    monkeypatch.setattr(estimators, "_outside", lambda: {"evenly": evenly})
+    assert estimators.names()[-1] == "evenly" and paper.study_inputs({}, paper.QUICK_WALK) == before
 
 
 def test_a_study_that_is_stopped_leaves_nothing_and_the_next_run_measures_it(tmp_path):

@@ -139,7 +139,8 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list
 
 def study_inputs(decides: Json, walk: WalkSettings) -> str:
     """All that the figures of a study depend on, besides its source: trained networks as well."""
-    weights = {target: weights_sha256(estimators.names(), target) for target in get_args(Target)}
+    ours = [name for name in estimators.names() if not estimators.is_outside(name)]
+    weights = {target: weights_sha256(ours, target) for target in get_args(Target)}
     return json.dumps([decides, asdict(walk), weights])
 
 
