@@ -14,6 +14,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.run_lights import LightsAsked
 from xihe_blender.scene.colour_management import in_rec709
 from xihe_blender.scene.units import seconds_of
+from xihenet.formats import format_names
 from xihenet.light.exports import NamedLight, scaled
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight, ObjectLight
@@ -29,7 +30,7 @@ def lights_of_scene(scene: bpy.types.Scene, asked: LightsAsked) -> list[NamedLig
     if not chosen and asked.objects is None:
         raise UserError(f"scene {scene.name!r} has no lit virtual object: give the lit .blend that a run leaves")
     if unknown := [name for name in chosen if name not in worlds]:
-        raise UserError(f"the file has no lit virtual object {unknown[0]!r}; it has {', '.join(worlds)}")
+        raise UserError(f"the file has no lit virtual object {unknown[0]!r}; it has {format_names(worlds)}")
     found = []
     for name in chosen:
         keyed = {round(point.co[0]) for _, curve in light_curves(worlds[name]) for point in curve.keyframe_points}

@@ -215,7 +215,7 @@ def _numbers(results: RunResults, frame: FrameResult) -> dict[str, list[list[str
             figures.append(["Likeness of the picture (SSIM)", format_number(of_picture.ssim, 3)])
         if name in results.summary.estimate_ms:
             time = format_quantity(results.summary.estimate_ms[name], "ms")
-            figures.append(["Time of an estimate, in the whole run", time])
+            figures.append(["Time of an estimate (median of the run)", time])
         found[name] = figures
     return found
 
