@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
     add("scene SCENE.blend", arguments.SCENE, Path)
     add("--out DIR", OUT, Path, required=True)
-    add("--objects A,B", "virtual objects to look for; default: all", arguments.names)
+    add("--objects A,B", arguments.OBJECTS, arguments.names)
     add("--map", MAP, action="store_true", dest="is_for_map")
     add("--verify", VERIFY, action="store_true", dest="is_verified")
     add("--random N", "random looks for each object to compare with, with --verify", int, dest="n_random", default=1)
