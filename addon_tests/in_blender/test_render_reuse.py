@@ -18,6 +18,7 @@ from tiny_scenes import (
 )
 
 from xihe_blender.addon.overlay import forget_positions
+from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey, each_its_own, plan_render_reuse
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -93,7 +94,6 @@ KEYED = {
     "lamp power": ('lights["Spot"]', "energy", 5.0, 5.01),
     "keyed material": ('materials["Wood"].node_tree.nodes["Diffuse BSDF"].inputs["Roughness"]', "default_value", 0, 1),
     "world": ('worlds["Background"].node_tree.nodes["Background"].inputs["Strength"]', "default_value", 0, 1),
-    "bounces": ('scenes["Scene"].cycles', "max_bounces", 12, 1),
 }
 """What is keyed, from bpy.data on, and its values at both frames."""
 
@@ -269,6 +269,19 @@ def test_keys_that_hold_a_value_change_nothing():
     key_both(scene.camera.data, "lens", 35.0, 35.0)
     drive(light_strength(), "default_value", "6 + 0 * frame")
     assert len(set(scene_states(scene))) == 1
+
+
+def test_keys_of_settings_that_a_run_sets_itself_change_nothing():
+    scene = still_room()
+    key_both(scene.cycles, "max_bounces", 12, 1)
+    assert len(set(scene_states(scene))) == 1
+    with working_scene(scene, "copy", RenderSettings((8, 8), 1)) as copy:
+        copy.cycles.max_bounces = 7
+        values = []
+        for frame in FRAMES:
+            copy.frame_set(frame)
+            values.append(copy.cycles.max_bounces)
+    assert values == [7, 7]
 
 
 def test_what_comes_back_is_the_same_again():
