@@ -26,7 +26,9 @@ Stateless: what happened before comes in as an argument. Paper: section 4.3.1; f
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Literal, get_args
 
 import numpy as np
@@ -109,6 +111,21 @@ class TriggerSettings:
                 raise ValueError(f"TriggerSettings.{name}: expected a share above 0, got {getattr(self, name)}")
         if not 0 <= self.ignored_share < 1:
             raise ValueError(f"TriggerSettings.ignored_share: expected 0 to below 1, got {self.ignored_share}")
+
+
+Rule = Literal["split", "light", "reference", "every-frame"]
+
+RULES: Mapping[Rule, TriggerSettings] = MappingProxyType(
+    {
+        "split": TriggerSettings(theta=0.001, ignored_share=0.25, coverage_theta=0.05),
+        "light": TriggerSettings(policy="light", light_theta=0.2),
+        "reference": TriggerSettings(policy="reference"),
+        "every-frame": TriggerSettings(theta=0.0, coverage_theta=0.0),
+    }
+)
+"""What runs are told by name, their default first. With "every-frame" a frame in which nothing has changed makes none.
+
+The paper's theta of 0.6 sleeps through a lamp that changes; see docs/trigger.md for how these were chosen."""
 
 
 def decide_trigger(

@@ -26,12 +26,13 @@ from xihenet.controller import ControllerSettings, XiheController
 from xihenet.io.recording import load_frame
 from xihenet.metrics import shc_rmse
 from xihenet.records import RgbdFrame, StepReport
-from xihenet.trigger import TriggerSettings
+from xihenet.trigger import RULES, TriggerSettings
 
-FIRED = ("first", "colour", "coverage")
-EVERY_FRAME = TriggerSettings(theta=0.0, coverage_theta=0.0)
+FIRED = ("first", "colour", "coverage", "light")
+EVERY_FRAME = RULES["every-frame"]
 CANDIDATES = [
-    TriggerSettings(policy="reference"),
+    RULES["reference"],
+    RULES["light"],
     *(
         replace(PREVIS_TRIGGER, theta=theta, view_angle_deg=angle_deg)
         for angle_deg in (180.0, 3.0, 6.0)
@@ -95,8 +96,9 @@ def cell(recorded: Recorded, settings: TriggerSettings) -> str:
 
 def main() -> None:
     runs = [read_run(folder) for folder in paths(__doc__, "RUN")]
-    headings = [f"{c.policy}, {c.theta}, {c.view_angle_deg:g} degrees" for c in CANDIDATES]
-    print("share of steps that fire (first+colour+coverage of all) / error against truth")
+    thresholds = [c.light_theta if c.policy == "light" else c.theta for c in CANDIDATES]
+    headings = [f"{c.policy}, {t}, {c.view_angle_deg:g} degrees" for c, t in zip(CANDIDATES, thresholds, strict=True)]
+    print("share of steps that fire (first+colour+coverage+light of all) / error against truth")
     print("| scene | every frame | " + " | ".join(headings) + " |\n| --- |" + " --- |" * (1 + len(CANDIDATES)))
     for run in runs:
         cells = [f"{walk(run, EVERY_FRAME)[2]:.3f}", *(cell(run, settings) for settings in CANDIDATES)]

@@ -41,10 +41,10 @@ def enable_preferences():
 @contextlib.contextmanager
 def small_panel_runs():
     """What is started from the panel renders as little as `QuickPrevis`."""
-    from xihe_blender.addon import run_settings
+    from xihe_blender.previs import settings
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_settings, "PrevisSettings", QuickPrevis)
+        patch.setattr(settings, "PrevisSettings", QuickPrevis)
         yield
 
 

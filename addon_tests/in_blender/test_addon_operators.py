@@ -20,6 +20,7 @@ from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import make_room, make_virtual, virtual_objects
+from xihenet.trigger import RULES
 
 
 @pytest.fixture(autouse=True)
@@ -278,12 +279,12 @@ def test_the_panel_is_at_first_a_run_without_options_and_every_setting_reaches_t
     scene = walk_for_the_panel(
         tmp_path, estimator="projection", target="hdr", use_own_frames=True, frame_start=2, frame_end=5, frame_step=2,
         phone="FILE", phone_file=str(tmp_path / "mine.toml"), network="lte", use_own_exposure=True, exposure=0.5,
-        metering="key", seed=7, carries_light=False, others={"xihenet", "lattice"},
+        metering="key", seed=7, carries_light=False, others={"xihenet", "lattice"}, trigger="light",
     )  # fmt: skip
     assert previs_settings(scene) == PrevisSettings(
         estimator="projection", preset="draft", target="hdr", size=(32, 24), frames=(2, 4), exposure=0.5,
         metering="key", seed=7, phone=str(tmp_path / "mine.toml"), network="lte", between_estimates="kept",
-        others=("xihenet", "lattice"),
+        others=("xihenet", "lattice"), trigger=RULES["light"],
     )  # fmt: skip
     # The phone of the preferences is that of a scene without one.
     scene, user = walk(), enable_preferences()

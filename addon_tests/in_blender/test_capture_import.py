@@ -3,7 +3,7 @@
 import json
 import re
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import pairwise
 
@@ -38,7 +38,7 @@ from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.captured_path import capture_path
 from xihe_blender.previs.previs import previs
-from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.settings import PREVIS_TRIGGER, PrevisSettings
 from xihe_blender.scene.phone_capture import (
     IS_CAPTURED,
     ChosenCapture,
@@ -57,6 +57,7 @@ from xihenet.captures.scan import Scan, ScanSettings
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import Intrinsics
+from xihenet.trigger import RULES
 
 OFF_CENTRE = Intrinsics(64, 48, 50.0, 48.5, 30.2, 25.1)
 
@@ -524,6 +525,18 @@ def test_objects_that_no_frame_sees_are_asked_about_in_every_frame(tmp_path):
     recording = recorded(tmp_path / "walk", lamp_walk(SMALL)[:2])
     found = run_on(scene_of(recording, tmp_path), tmp_path / "out")
     assert [entry.active for entry in found.frames] == [True, True]
+
+
+def test_the_trigger_is_the_recordings_own_unless_another_is_chosen(tmp_path):
+    scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
+    runs = {
+        name: run_on(scene, tmp_path / name, trigger=trigger)
+        for name, trigger in (("own", PREVIS_TRIGGER), ("every", RULES["every-frame"]))
+    }
+    assert runs["own"].settings.trigger == asdict(REPLAY_TRIGGER)
+    assert runs["every"].settings.trigger == asdict(RULES["every-frame"])
+    own, every = (runs[name].summary for name in ("own", "every"))
+    assert own.n_estimates < every.n_estimates == every.n_active_frames
 
 
 def test_gaps_and_chosen_frames(tmp_path):

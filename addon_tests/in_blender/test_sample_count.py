@@ -35,7 +35,7 @@ from xihenet.io.recording import load_frame
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
-from xihenet.trigger import decide_trigger
+from xihenet.trigger import RULES, decide_trigger
 
 N_FRAMES = 5
 MOVES = 5
@@ -291,3 +291,5 @@ def test_noise_that_the_pilot_knows_does_not_fire(n_samples):
     assert decide_trigger(first, second, lattice, raised).reason == "none"
     # Without a pilot theta stays as it is.
     assert above_noise(PREVIS_TRIGGER, None) == PREVIS_TRIGGER
+    for rule in ("light", "reference", "every-frame"):
+        assert above_noise(RULES[rule], change) == RULES[rule]

@@ -7,7 +7,7 @@ from addon_tests.pure.made import random_cloud, without_surfaces
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import AnchorSurfaces, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
-from xihenet.trigger import LastSeen, TriggerSettings, colour_change, decide_trigger
+from xihenet.trigger import RULES, LastSeen, TriggerSettings, colour_change, decide_trigger
 
 N = 320
 LATTICE = AnchorLattice(N)
@@ -177,7 +177,8 @@ def test_an_angle_of_180_degrees_takes_no_surface_for_seen_from_another_angle():
 
 def test_a_theta_of_zero_fires_at_any_change_reflections_included():
     before, after = (seen_from(place, with_reflections(textured(), k)) for k, place in enumerate((NEAR, FAR)))
-    assert decide_trigger(before, after, LATTICE, TriggerSettings(theta=0.0, coverage_theta=0.0)).reason == "colour"
+    assert decide_trigger(before, after, LATTICE, RULES["every-frame"]).reason == "colour"
+    assert not decide_trigger(after, after, LATTICE, RULES["every-frame"]).fire
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -28,7 +28,7 @@ def main(copy: Path, *packages: str) -> None:
     from xihe_blender.io.outputs import write_json
     from xihe_blender.jobs import Progress
     from xihe_blender.previs.previs import previs
-    from xihe_blender.previs.settings import PrevisSettings
+    from xihe_blender.previs.settings import settings_of
 
     run = BackgroundRun(copy.parent)
     lock = run.outputs.lock.open("ab")
@@ -46,7 +46,7 @@ def main(copy: Path, *packages: str) -> None:
     last = Progress(0, 1, "surveying the path")
     try:
         choices: dict[str, Any] = run.request.choices
-        scene, settings = bpy.data.scenes[run.request.scene], PrevisSettings(**choices)
+        scene, settings = bpy.data.scenes[run.request.scene], settings_of(choices)
         for last in previs(scene, run.folder, settings, blend_file=copy, command=run.request.command):
             say(last)
     except FAILURES as error:

@@ -47,6 +47,12 @@ LIGHT_PARTS = (
         "Metal and glass reflect what the phone has seen besides",
     ),
 )
+TRIGGERS = (
+    ("split", "It Changes", "When surfaces change colour, or new ones come into view"),
+    ("light", "Light Differs", "When the light of all that is known differs by a fifth from that at the last estimate"),
+    ("reference", "As the Paper", "By the paper's rule, which misses a lamp that dims, and estimates often on a walk"),
+    ("every-frame", "Every Frame", "In each frame in which anything changed: the freshest light, at the highest cost"),
+)
 PHONES_METERING = "PHONE"
 METERINGS = (
     (PHONES_METERING, "As the Phone", "Meter as the phone's profile says"),

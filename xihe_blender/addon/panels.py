@@ -248,6 +248,7 @@ class XIHE_PT_estimator_details(StagePanel, bpy.types.Panel):
         layout.column(align=True).prop(settings, "others")
         layout.prop(settings, "target")
         layout.prop(settings, "light")
+        layout.prop(settings, "trigger")
         layout.prop(settings, "seed")
 
 

@@ -218,6 +218,13 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         translation_context=OUR_WORDS,
         default=choices.PHONES_METERING,
     )
+    trigger: bpy.props.EnumProperty(
+        name="Estimate When",
+        description="When the light is estimated anew. Fewer estimates cost less; the light in force is then older",
+        items=choices.TRIGGERS,
+        translation_context=OUR_WORDS,
+        default="split",
+    )
     seed: bpy.props.IntProperty(
         name="Seed", description="Seed of all random numbers; the same seed gives the same results", min=0
     )

@@ -22,7 +22,7 @@ from xihe_blender.jobs import Job, run_blocking
 from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.required_effects import effects_of_run
-from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.settings import PrevisSettings, settings_of
 from xihenet import estimators
 from xihenet.effects import Effect
 
@@ -43,11 +43,11 @@ def run_and_show(scene: bpy.types.Scene, folder: Path, settings: PrevisSettings)
 
 def previs_settings(scene: bpy.types.Scene) -> PrevisSettings:
     """The settings of a run on `scene`; UserError for what cannot be run."""
-    return PrevisSettings(**choices_of_run(scene))
+    return settings_of(choices_of_run(scene))
 
 
 def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
-    """What the panel chooses of PrevisSettings, by name; UserError for frames or a phone that cannot be."""
+    """What the panel chooses, by name, for `settings_of`; UserError for frames or a phone that cannot be."""
     chosen = scene.xihe
     return {
         "estimator": chosen.estimator,
@@ -62,6 +62,7 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
         "between_estimates": "carried" if chosen.carries_light else "kept",
         "exposure": chosen.exposure if chosen.use_own_exposure else None,
         "metering": None if chosen.metering == PHONES_METERING else chosen.metering,
+        "trigger": chosen.trigger,
         "seed": chosen.seed,
         "phone": _phone(scene),
         "network": None if chosen.network == NO_NETWORK else chosen.network,

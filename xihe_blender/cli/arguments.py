@@ -122,6 +122,10 @@ BACKEND = (
 BETWEEN = (
     "light in force until the next estimate: carried, as the light in view changes (default), or kept as estimated"
 )
+TRIGGER = (
+    "when light is estimated anew: split, when surfaces change colour or new ones come into view; light, when the "
+    "light of all that is known differs; reference, by the paper's rule; every-frame, unless nothing has changed"
+)
 EFFECT = "simulate an effect or leave it out, whatever the scene needs; may be repeated, is not saved"
 ESTIMATORS = one_of(estimators.names())
 FRAMES = "frames of the path; default: the scene's range and step"

@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--light PARTS", arguments.LIGHT + AUTO, default="auto")
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--between-estimates carried|kept", arguments.BETWEEN, default="carried")
+    add("--trigger split|light|reference|every-frame", arguments.TRIGGER + "; default: split", default="split")
     add("--network NAME", arguments.NETWORK)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
     add_one = arguments.adder(parser.add_mutually_exclusive_group())
@@ -42,8 +43,10 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     from xihe_blender.previs.previs import previs
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.blend_file import open_blend
+    from xihenet.trigger import RULES
 
-    settings = arguments.settings_from(options, PrevisSettings, effect_choices=parsed_overrides(options.overrides))
+    choices = {"trigger": RULES[options.trigger], "effect_choices": parsed_overrides(options.overrides)}
+    settings = arguments.settings_from(options, PrevisSettings, **choices)
     scene = open_blend(options.scene)
     job = previs(scene, options.out, settings, blend_file=options.scene, command=options.command_line)
     results = run_blocking(job, progress_line(stderr))

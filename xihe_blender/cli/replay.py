@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import BACKEND, BETWEEN, add_recording, adder, one_of, position
+from xihe_blender.cli.arguments import BACKEND, BETWEEN, TRIGGER, add_recording, adder, one_of, position
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, write_together
@@ -37,6 +37,7 @@ from xihenet.light.exports import NamedLight
 from xihenet.light.light_picture import light_picture, seen_picture
 from xihenet.light.platforms import PLATFORMS
 from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
+from xihenet.trigger import RULES, TriggerSettings
 
 SCORE = (
     "say how well each estimator guesses what left-out frames show, at the positions given or at 16 of the room's own; "
@@ -119,6 +120,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--estimator NAME", one_of(n for n in estimators.names() if n != "truth"), default=estimators.DEFAULT)
     add("--backend URL", BACKEND)
     add("--between-estimates", BETWEEN, choices=("carried", "kept"), default="carried")
+    add("--trigger", TRIGGER + "; default: the recording's own, else split with a theta of 0.005", choices=tuple(RULES))
     add("--target", "hdr: all of the light; ldr: light clipped at white", choices=("ldr", "hdr"), default="hdr")
     add("--to TARGET", "write the lights for an engine as well, as xihe export does", choices=tuple(PLATFORMS))
 
@@ -135,7 +137,10 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         capture, drift, reading = _prepared(options, stderr)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
         unseen = never_in_view(capture, _positions(capture, places))
-        steps = list(_replayed(capture, places, unseen, estimator, options.between_estimates)) if places else []
+        trigger = capture.trigger or REPLAY_TRIGGER if options.trigger is None else RULES[options.trigger]
+        steps = (
+            list(_replayed(capture, places, unseen, estimator, options.between_estimates, trigger)) if places else []
+        )
         score = _score(capture, places, options) if options.score else None
         reading.end()
     except (ValueError, ImportError) as error:
@@ -232,6 +237,7 @@ def _replayed(
     unseen: Collection[str],
     estimator: Estimator | EdgeBackend,
     between_estimates: BetweenEstimates,
+    trigger: TriggerSettings,
 ) -> Iterator[dict[str, Any]]:
     """Per frame what is written of it; fills the places."""
     last: ReplayedStep | None = None
@@ -239,7 +245,7 @@ def _replayed(
         capture,
         _positions(capture, places),
         estimator,
-        trigger=capture.trigger or REPLAY_TRIGGER,
+        trigger=trigger,
         has_key_light=True,
         reference_exposure=capture.reference_exposure,
         never_in_view=unseen,
@@ -318,6 +324,7 @@ def _write(
         "estimator": options.estimator,
         "backend": options.backend,
         "between_estimates": options.between_estimates,
+        "trigger": options.trigger,
         "target": options.target,
         "sh_axes": "right-handed, +Z up",
         "positions": [

@@ -25,9 +25,9 @@ from xihenet.phone.session import PhoneSession
 from xihenet.records import ArrayF32, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_again, sample_unit_sphere
 from xihenet.sphere import AnchorLattice
-from xihenet.trigger import TriggerSettings
+from xihenet.trigger import RULES, TriggerSettings
 
-EVERY_FRAME = TriggerSettings(theta=0.0, coverage_theta=0.0)
+EVERY_FRAME = RULES["every-frame"]
 MOST_STOPS = 10
 """By so many stops an exposure is lowered at most so that nothing is clipped."""
 

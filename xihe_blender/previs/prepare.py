@@ -193,7 +193,12 @@ def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: Capt
 
 
 def above_noise(trigger: TriggerSettings, capture_change: float | None) -> TriggerSettings:
-    """`trigger` with its theta above what noise alone changes, where that was measured: variances add up."""
+    """`trigger` with its theta above what noise alone changes, where that was measured: variances add up.
+
+    The paper's rule stays as it is, and what is to fire at any change.
+    """
+    if trigger.policy != "split" or trigger.theta == 0:
+        return trigger
     return replace(trigger, theta=trigger.theta + NOISE_MARGIN * (capture_change or 0.0))
 
 

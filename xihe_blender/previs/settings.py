@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
@@ -26,7 +26,7 @@ from xihenet.light import BetweenEstimates, LightChoice
 from xihenet.light_change import LightFollowing
 from xihenet.phone import LINKS, NETWORK, PHONE_EFFECTS, Link, PhoneProfile, load_profile
 from xihenet.phone.metering import METERINGS, Metering
-from xihenet.trigger import TriggerSettings
+from xihenet.trigger import RULES, TriggerSettings
 
 Captured = Literal["path", "in-view"]
 """Frames that a phone of a run takes in: the whole path, or those in which an estimation position is in view."""
@@ -66,8 +66,7 @@ RULER_SHARE = 0.4
 
 MAX_SAMPLES = 65536
 
-PREVIS_TRIGGER = TriggerSettings(theta=0.001, ignored_share=0.25, coverage_theta=0.05)
-"""The paper's theta of 0.6 sleeps through a lamp that changes; see docs/trigger.md for how these were chosen."""
+PREVIS_TRIGGER = RULES["split"]
 
 
 @dataclass(frozen=True)
@@ -228,6 +227,11 @@ class PrevisSettings:
 
     def comparison(self, size: tuple[int, int]) -> RenderSettings:
         return RenderSettings(size, self.preset_values.comparison_samples, self.seed)
+
+
+def settings_of(choices: Mapping[str, Any]) -> PrevisSettings:
+    """Of choices that a JSON file can hold: `trigger` is the name of one of `RULES`."""
+    return PrevisSettings(**{**choices, "trigger": RULES[choices["trigger"]]})
 
 
 def load_estimators(settings: PrevisSettings) -> list[Estimator]:
