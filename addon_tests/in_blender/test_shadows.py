@@ -109,8 +109,11 @@ def test_fog_has_no_holes_where_the_floor_is_seen_through_it():
     tree.links.new(fog.outputs[0], output.inputs["Volume"])
     over_a_catcher, surfaces = compared(scene, [ball], blurred=0.01)
     alone, _ = compared(scene, [ball], has_surfaces=False)
-    assert surfaces and alone.weights.max() > 0.5
-    np.testing.assert_array_equal(over_a_catcher.weights > 0, alone.weights > 0)
+    # Where it is thinner, none of a pixel's few rays may meet it.
+    is_fog = alone.weights > 0.2
+    assert surfaces and is_fog.sum() > 200
+    assert (over_a_catcher.weights[is_fog] > 0).all()
+    np.testing.assert_allclose(over_a_catcher.weights.sum(), alone.weights.sum(), rtol=0.02)
 
 
 def test_nothing_is_around_a_ball_high_in_the_air_and_nothing_is_left_in_the_file():

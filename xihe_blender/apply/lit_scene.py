@@ -229,7 +229,10 @@ def _without_loose_edges(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
 def _seen_in_scene(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
     """All that its first view layer renders, and those of the scenes that are set behind it."""
     while scene is not None:
-        yield from seen_in(scene.view_layers[0].layer_collection)
+        layer = scene.view_layers[0]
+        if layer.layer_collection is None:  # In Blender 5, of a scene that was never shown.
+            layer.update()
+        yield from seen_in(layer.layer_collection)
         scene = scene.background_set
 
 
