@@ -23,6 +23,7 @@ from xihenet.estimators import Target
 from xihenet.light import LightChoice
 from xihenet.phone import LINKS, profile_names
 from xihenet.phone.metering import METERINGS
+from xihenet.trigger import RULES
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST_BYTES = 12_000_000
@@ -99,6 +100,7 @@ def test_the_lists_are_those_of_the_science():
             (choices.LIGHT_PARTS, get_args(LightChoice)),
             (choices.TARGETS, get_args(Target)),
             (choices.METERINGS, [choices.PHONES_METERING, *METERINGS]),
+            (choices.TRIGGERS, RULES),
         ):
             assert sorted(name for name, *_ in items) == sorted(names)
         for items, names in (

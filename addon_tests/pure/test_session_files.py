@@ -1,6 +1,6 @@
 """Our own sessions: what they say of themselves, and a thousand frames do not fill the memory."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from xihe_blender.cli.main import main
 from xihenet.captures import open_capture
 from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import Intrinsics
-from xihenet.trigger import TriggerSettings
+from xihenet.trigger import RULES, TriggerSettings
 
 CAMERA = Intrinsics(32, 24, 20.0, 20.0, 16.0, 12.0)
 
@@ -36,9 +36,23 @@ def test_what_it_says_of_itself_comes_back_and_time_may_go_backwards(tmp_path, c
     assert "The lens is not known." in capfd.readouterr().err
     written = read_strictly((tmp_path / "out" / "replay.json").read_text())
     assert (written["reference_exposure"], written["source"]) == (0.5, "a room")
+    assert written["trigger"] == asdict(facts.trigger)
     assert "A replay: Xihe session (a room)" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     again = xihe_here("replay", tmp_path / "in", "--at", "0,0,0", "--out", tmp_path / "o", "--up", "y")
     assert_refused(again, "leave out --up")
+
+
+def test_the_sessions_own_trigger_is_used_unless_another_is_chosen(tmp_path):
+    write_walk(
+        tmp_path / "in", n=4, facts=SessionFacts("a room", (), 1.0, TriggerSettings(policy="reference", theta=1.0))
+    )
+    made = {}
+    for name, options in (("own", ()), ("every", ("--trigger", "every-frame"))):
+        xihe_here("replay", tmp_path / "in", "--at", "0,0,0", "--out", tmp_path / name, *options)
+        written = read_strictly((tmp_path / name / "replay.json").read_text())
+        made[name] = len(written["positions"][0]["lights"]), written["trigger"]
+    assert made["own"] == (1, asdict(TriggerSettings(policy="reference", theta=1.0)))
+    assert made["every"] == (4, asdict(RULES["every-frame"]))
 
 
 def test_light_carries_the_sessions_exposure_and_white_balance_is_taken_out(tmp_path):

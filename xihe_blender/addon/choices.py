@@ -50,7 +50,11 @@ LIGHT_PARTS = (
 TRIGGERS = (
     ("split", "It Changes", "When surfaces change colour, or new ones come into view"),
     ("light", "Light Differs", "When the light of all that is known differs by a fifth from that at the last estimate"),
-    ("reference", "As the Paper", "By the paper's rule, which misses a lamp that dims, and estimates often on a walk"),
+    (
+        "reference",
+        "As the Paper",
+        "By the paper's rule, when any direction changes colour by much; it misses a lamp that dims",
+    ),
     ("every-frame", "Every Frame", "In each frame in which anything changed: the freshest light, at the highest cost"),
 )
 PHONES_METERING = "PHONE"

@@ -57,7 +57,7 @@ EXPECTED_ERROR = (
 METHODS = (
     "Light: mean distance from the rendered light probe, in spherical-harmonic coefficients. Picture: root mean square "
     "error of the lit objects, in linear colour, against the ground truth. 0 is perfect; the best picture stands first"
-    ". ms: milliseconds that one estimate took on this machine"
+    ". ms: milliseconds that one estimate took, the way to an edge server and back included"
 )
 AMBIENT_ERROR = "The same distance for one even light as bright as the captured picture, which every phone can offer"
 COVERAGE = (

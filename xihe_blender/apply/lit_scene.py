@@ -100,7 +100,7 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     The picture keeps the frames' shape, and is as large along its longer side as the scene's own. One that the user
     makes wider shows the middle of the frame.
     """
-    from xihe_blender.scene.colour_management import show_as_it_is
+    from xihe_blender.scene.colour_management import show_as_it_is  # The panel, which imports this, knows no NumPy
 
     first = frames.write_sequence()
     image = bpy.data.images.load(str(first))

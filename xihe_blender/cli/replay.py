@@ -32,7 +32,6 @@ from xihenet.formats import format_count
 from xihenet.invalid import added, format_reason, left_out, n_left_out
 from xihenet.io.png import encode_png
 from xihenet.left_out import EstimatorScore, score_places, score_session
-from xihenet.light import BetweenEstimates
 from xihenet.light.exports import NamedLight
 from xihenet.light.light_picture import light_picture, seen_picture
 from xihenet.light.platforms import PLATFORMS
@@ -120,7 +119,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--estimator NAME", one_of(n for n in estimators.names() if n != "truth"), default=estimators.DEFAULT)
     add("--backend URL", BACKEND)
     add("--between-estimates", BETWEEN, choices=("carried", "kept"), default="carried")
-    add("--trigger", TRIGGER + "; default: the recording's own, else split with a theta of 0.005", choices=tuple(RULES))
+    add(
+        "--trigger",
+        TRIGGER + f"; default: the recording's own, else split with a theta of {REPLAY_TRIGGER.theta:g}",
+        choices=tuple(RULES),
+    )
     add("--target", "hdr: all of the light; ldr: light clipped at white", choices=("ldr", "hdr"), default="hdr")
     add("--to TARGET", "write the lights for an engine as well, as xihe export does", choices=tuple(PLATFORMS))
 
@@ -137,10 +140,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         capture, drift, reading = _prepared(options, stderr)
         places = [Place(f"place_{number}", at) for number, at in enumerate(options.at)]
         unseen = never_in_view(capture, _positions(capture, places))
-        trigger = capture.trigger or REPLAY_TRIGGER if options.trigger is None else RULES[options.trigger]
-        steps = (
-            list(_replayed(capture, places, unseen, estimator, options.between_estimates, trigger)) if places else []
-        )
+        steps = list(_replayed(capture, places, unseen, estimator, options)) if places else []
         score = _score(capture, places, options) if options.score else None
         reading.end()
     except (ValueError, ImportError) as error:
@@ -231,13 +231,17 @@ def _positions(capture: Capture, places: Sequence[Place]) -> dict[str, ArrayF64]
     return {place.name: capture.blender_from_file @ np.array(place.at) for place in places}
 
 
+def _trigger(capture: Capture, options: argparse.Namespace) -> TriggerSettings:
+    """The one that was chosen, else the recording's own."""
+    return capture.trigger or REPLAY_TRIGGER if options.trigger is None else RULES[options.trigger]
+
+
 def _replayed(
     capture: Capture,
     places: Sequence[Place],
     unseen: Collection[str],
     estimator: Estimator | EdgeBackend,
-    between_estimates: BetweenEstimates,
-    trigger: TriggerSettings,
+    options: argparse.Namespace,
 ) -> Iterator[dict[str, Any]]:
     """Per frame what is written of it; fills the places."""
     last: ReplayedStep | None = None
@@ -245,11 +249,11 @@ def _replayed(
         capture,
         _positions(capture, places),
         estimator,
-        trigger=trigger,
+        trigger=_trigger(capture, options),
         has_key_light=True,
         reference_exposure=capture.reference_exposure,
         never_in_view=unseen,
-        between_estimates=between_estimates,
+        between_estimates=options.between_estimates,
     ):
         last = step
         for place in places:
@@ -324,7 +328,7 @@ def _write(
         "estimator": options.estimator,
         "backend": options.backend,
         "between_estimates": options.between_estimates,
-        "trigger": options.trigger,
+        "trigger": asdict(_trigger(capture, options)),
         "target": options.target,
         "sh_axes": "right-handed, +Z up",
         "positions": [

@@ -16,14 +16,7 @@ from xihe_blender.report.pictures import pictures_section
 from xihe_blender.report.plots import plots_section
 from xihe_blender.report.tables import numbers_section
 from xihe_blender.report.values import closeness, code, escape, format_closeness, rmse_of, too_small_to_judge
-from xihenet.formats import (
-    DASH,
-    format_bytes,
-    format_count,
-    format_number,
-    format_percent,
-    format_quantity,
-)
+from xihenet.formats import DASH, format_bytes, format_count, format_number, format_percent, format_quantity
 from xihenet.invalid import format_unanswered
 
 

@@ -83,7 +83,7 @@ def _comparison(results: RunResults) -> str:
     about = (
         "Averages over the compared frames, inside the virtual objects. psnr and ssim are taken on the sRGB pictures,"
         " the others on linear colour. SHC RMSE is the error of the light's coefficients, over all frames. The time"
-        " is the median on this machine; <code>ambient</code> and <code>truth</code> estimate nothing."
+        " is the median of the run; a dash stands where nothing is estimated."
     )
     star = "\N{BLACK STAR} marks the best method that a phone could run; <code>truth</code> is not one."
     honest = "No image metric tracks human preference: look at the pictures before you trust a ranking."
