@@ -151,6 +151,16 @@ def test_the_ground_truth_shows_the_objects_of_the_run_and_no_others(change):
     assert pictures[0].min() < 0.3 < 0.9 < pictures[0].max()
 
 
+def test_a_comparison_takes_all_that_it_made_with_it():
+    scene = empty_scene()
+    ball = sphere(scene, "Ball", (0, 0, 0), 0.4, None, virtual_collection(scene, create=True))
+    orthographic(scene)
+    before = set(bpy.data.user_map())
+    with open_comparer(scene, [ball], ["one"], RenderSettings((8, 8), 1, denoise=False), has_key_light=True):
+        pass
+    assert set(bpy.data.user_map()) == before
+
+
 @pytest.mark.parametrize("wall_m", [1.5, 10.0])
 def test_an_object_behind_a_wall_leaves_no_rim_and_one_before_it_keeps_its_own(wall_m):
     scene = empty_scene()

@@ -153,8 +153,13 @@ def remove_applied_light(scene: bpy.types.Scene) -> None:
         remove_animation(world)
         remove_animation(world.node_tree)
         bpy.data.worlds.remove(world)
+    remove_unused_node_group()
+
+
+def remove_unused_node_group() -> None:
+    """Take the node group away, unless a world still has it."""
     group = _local(bpy.data.node_groups, NODE_GROUP_NAME)
-    if group is not None:
+    if group is not None and not group.users:
         bpy.data.node_groups.remove(group)
 
 

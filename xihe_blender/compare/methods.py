@@ -31,7 +31,7 @@ from xihe_blender.apply.key_suns import (
 )
 from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene, show_only_in
 from xihe_blender.apply.reflection_pictures import forget_reflections, has_sun_for_lamp, reflect_in_world
-from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
+from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world, remove_unused_node_group
 from xihe_blender.apply.shadow_catchers import (
     CATCHER_INDEX,
     catch_shadows,
@@ -335,6 +335,7 @@ def open_comparer(
     suns: dict[tuple[str, str], bpy.types.Object] = {}
     catchers: dict[str, bpy.types.Object] = {}
     with contextlib.ExitStack() as stack:
+        stack.callback(remove_unused_node_group)
         for key, layer in layers.items():
             worlds[key] = make_sh_world(f"{PREFIX}{layer}")
             stack.callback(bpy.data.worlds.remove, worlds[key])
