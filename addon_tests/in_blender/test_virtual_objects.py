@@ -111,6 +111,27 @@ def test_a_virtual_object_leaves_every_collection_of_the_room_and_keeps_its_pare
     assert table not in virtual_objects(scene)
 
 
+def test_other_scenes_and_view_layers_show_what_they_showed_before():
+    scene, other = room_with_a_virtual_sphere(), bpy.data.scenes.new("Other")
+    bpy.data.collections.remove(virtual_collection(scene))
+    props, without = bpy.data.collections.new("Props"), scene.view_layers.new("Without")
+    for shown_in in (scene, other):
+        shown_in.collection.children.link(props)
+    vase = box(scene, "Vase", (0.2, 0, 0.2), (0.1, 0.1, 0.3), collection=props)
+    without.layer_collection.children["Props"].exclude = True
+    shown, before = [scene.view_layers[0], without, other.view_layers[0]], memberships()
+    for layer in shown:
+        layer.update()
+    seen = [vase.name in layer.objects for layer in shown]
+    make_virtual(scene, [vase])
+    assert virtual_objects(scene) == [vase] and virtual_objects(other) == []
+    for layer in shown:
+        layer.update()
+    assert [vase.name in layer.objects for layer in shown] == seen == [True, False, True]
+    make_room(scene, [vase])
+    assert memberships() == before and not list(vase.keys())
+
+
 def test_an_object_goes_back_into_the_collections_that_it_was_in_where_they_are_still_there():
     scene = room_with_a_virtual_sphere()
     homes = [bpy.data.collections.new(name) for name in ("Furniture", "Props")]

@@ -27,6 +27,10 @@ HOMES = "xihe_homes"
 """Custom property of a virtual object: names of the collections of the room that it was in, where there is more to know
 than that it was in the master collection. Names, since the collections would follow the object into other files."""
 
+LENT = "xihe_lent"
+"""Custom property of a virtual object: names of other scenes that showed it by a collection that it was taken out of,
+and now show it by their master collection."""
+
 HOLDER_TYPES = frozenset({"EMPTY", "ARMATURE"})
 """Kinds of objects that hold the parts of a model together, and show up in no render."""
 
@@ -78,7 +82,10 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     _check_are_own(chosen, [*virtual, *room])
     _check_can_change(scene, chosen)
     overrides = _overrides_of(chosen, room)
+    hiding = [] if virtual else _layers_without(scene, chosen)
     collection = virtual_collection(scene, create=bool(chosen))
+    for layer in hiding if chosen else ():
+        layer.layer_collection.children[collection.name].exclude = True
     _move(scene, overrides, collection)
     virtual, room = collections_of(scene)
     for item in chosen:
@@ -89,8 +96,10 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
         homes = room & set(item.users_collection)
         if homes:
             _remember_homes(scene, item, homes)
+        showing = [other for other in bpy.data.scenes if other.library is None and item in set(other.objects)]
         for home in homes:
             home.objects.unlink(item)
+        _lend(item, [other for other in showing if item not in set(other.objects)])
     return chosen
 
 
@@ -112,6 +121,9 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
                 home.objects.link(item)
         if item.library is None:
             item.pop(HOMES, None)
+            for other in map(bpy.data.scenes.get, json.loads(item.pop(LENT, "[]"))):
+                if other is not None and any(item in set(c.objects) for c in other.collection.children_recursive):
+                    other.collection.objects.unlink(item)
         for home in virtual & set(item.users_collection):
             home.objects.unlink(item)
     return chosen
@@ -159,6 +171,21 @@ def _remember_homes(scene: bpy.types.Scene, item: bpy.types.Object, homes: set[b
     item.pop(HOMES, None)
     if homes != {scene.collection}:
         item[HOMES] = json.dumps(sorted(home.name for home in homes))
+
+
+def _layers_without(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[bpy.types.ViewLayer]:
+    for layer in scene.view_layers:
+        if layer.layer_collection is None:  # In Blender 5, of a scene that was never shown.
+            layer.update()
+    return [layer for layer in scene.view_layers if not set(objects) & set(layer.objects)]
+
+
+def _lend(item: bpy.types.Object, others: Sequence[bpy.types.Scene]) -> None:
+    """Have `others`, which have lost it, show it."""
+    for other in others:
+        other.collection.objects.link(item)
+    if others and item.library is None:
+        item[LENT] = json.dumps([other.name for other in others])
 
 
 def _homes(
