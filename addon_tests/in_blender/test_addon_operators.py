@@ -355,5 +355,6 @@ def test_remove_old_runs_equals_its_function_and_keeps_what_any_scene_shows(tmp_
 def test_how_long_says_the_time_of_the_run(tmp_path):
     walk_for_the_panel(tmp_path, use_own_frames=True, frame_end=1)
     assert bpy.ops.xihe.measure_run() == {"FINISHED"}
-    said = bpy.context.window_manager.xihe.run_estimate
-    assert said.startswith("about ") and said.endswith(" on this machine")
+    state = bpy.context.window_manager.xihe
+    for said in (state.run_estimate, state.budget_estimate):
+        assert said.startswith("about ") and said.endswith(" on this machine")

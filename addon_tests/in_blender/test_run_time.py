@@ -7,8 +7,10 @@ import pytest
 from previs_runs import SMALL, walk
 from scene_snapshot import differences, snapshot
 
+from xihe_blender.capture.all_around import N_VIEWS
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.budget_seeds import N_SEEDS
 from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, pictures_needed, run_time_job
 from xihe_blender.scene.virtual_objects import virtual_collection
 
@@ -22,7 +24,10 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene():
         run_blocking(run_time_job(scene, replace(SMALL, frames=frames))) for frames in ((1, 2), (1, 2, 3, 4, 5))
     )
     assert all(0 < n < many.renders[kind][0] for kind, (n, _) in few.renders.items()) and len(few.renders) == 3
-    assert few.total_s > 0
+    assert few.total_s > 0 and few.budget_s > 0
+    # Nothing changes in this room: a look from each object and a ball serve for all frames.
+    n_probes, looks = 3, (2 + 3) * N_VIEWS * 24 / 32
+    assert few.budget_renders == {"capture": N_SEEDS * (2 + looks), "probe": N_SEEDS * n_probes}
     assert differences(before, snapshot()) == ({}, [])
 
 
@@ -41,6 +46,13 @@ def test_a_run_of_more_frames_takes_longer_in_proportion():
     assert one.total_s == pytest.approx(2 + 3 * 0.2 + 2 * 5)
     double = replace(one, renders={kind: (2 * n, time) for kind, (n, time) in of_each.items()})
     assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
+
+
+def test_an_error_budget_takes_the_time_of_its_captures_and_light_probes():
+    of_each = {"capture": (3, RenderTime(0.1, 0.01, 10)), "probe": (2, RenderTime(1.0, 0.0, 8))}
+    one = RunTime(2.0, of_each, {"capture": 30, "probe": 6})
+    assert one.budget_s == pytest.approx(2 + 30 * 0.2 + 6 * 1.0)
+    assert RunTime(2.0, {}).budget_s == 2.0, "no virtual object is ever in view"
 
 
 @pytest.mark.parametrize(

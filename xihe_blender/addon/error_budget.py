@@ -62,9 +62,11 @@ class XIHE_PT_error_budget(StagePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, folder = self.layout, context.scene.xihe.budget_folder
         budget = last_budget(folder)
+        takes = context.window_manager.xihe.budget_estimate or "longer than a run: press How Long? to know"
         if budget is None:
             sentence(context, layout, "Find out what the error of each object comes from, and what would help most:")
             layout.operator("xihe.measure_budget", text="Measure", icon="SORTTIME")
+            sentence(context, layout, f"It takes {takes}")
             return
         item = shown_object(budget, "" if context.object is None else context.object.name)
         sentence(context, layout, item.advice)
@@ -76,6 +78,7 @@ class XIHE_PT_error_budget(StagePanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("xihe.measure_budget", text="Measure Again", icon="FILE_REFRESH")
         row.operator("wm.path_open", text="", icon="FILE_TEXT").filepath = str(found_folder(folder) / "report.html")
+        sentence(context, layout, f"It takes {takes}")
 
 
 def shown_object(budget: BudgetResults, active: str) -> ObjectBudget:

@@ -52,7 +52,9 @@ class Measuring(polls.Conditional, ModalJob):
 class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
     bl_idname = "xihe.measure_run"
     bl_label = "How Long?"
-    bl_description = "Render a few small pictures to find out how long a run would take on this machine"
+    bl_description = (
+        "Render a few small pictures to find out how long a run, and Measure below, would take on this machine"
+    )
 
     def start_job(self, context: bpy.types.Context) -> Job[Any]:
         from xihe_blender.addon.run_settings import previs_settings
@@ -63,7 +65,8 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
         from xihe_blender.previs.run_time import format_run_time
 
-        context.window_manager.xihe.run_estimate = format_run_time(result.total_s)
+        state = context.window_manager.xihe
+        state.run_estimate, state.budget_estimate = map(format_run_time, (result.total_s, result.budget_s))
         return {"FINISHED"}
 
 

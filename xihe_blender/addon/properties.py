@@ -318,6 +318,9 @@ class XiheJobState(bpy.types.PropertyGroup):
     run_estimate: bpy.props.StringProperty(
         name="Run Time", description="How long a run would take on this machine, and how that was measured"
     )
+    budget_estimate: bpy.props.StringProperty(
+        name="Budget Time", description="How long What Would Help? would take on this machine"
+    )
     looks: bpy.props.CollectionProperty(
         name="Looks", description="Where the phone should look, by virtual object", type=XiheLook
     )

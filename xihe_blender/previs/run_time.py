@@ -15,18 +15,21 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 
 import bpy
 import numpy as np
 
+from xihe_blender.capture.all_around import N_VIEWS
 from xihe_blender.capture.reference_probe import FEWEST_SAMPLES, ProbeSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import GroundTruth, open_comparer
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.previs.budget_seeds import N_SEEDS
+from xihe_blender.previs.error_budget import MOST_LOOKS, N_MOMENTS
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
@@ -63,15 +66,22 @@ class RunTime:
     """What a run consists of, and how long each part takes.
 
     `prepare_s` is until the first frame, and to load the scene for the first render of each kind. `renders` are by kind
-    how many there are, without those that an earlier frame has already, and the time of one.
+    how many there are, without those that an earlier frame has already, and the time of one. `budget_renders` are the
+    same of an error budget, whose balls take as long as light probes.
     """
 
     prepare_s: float
     renders: Mapping[str, tuple[int, RenderTime]]
+    budget_renders: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def total_s(self) -> float:
         return sum((n * one.render_s for n, one in self.renders.values()), start=self.prepare_s)
+
+    @property
+    def budget_s(self) -> float:
+        """Of an error budget, all of its seeds."""
+        return sum((n * self.renders[kind][1].render_s for kind, n in self.budget_renders.items()), self.prepare_s)
 
 
 def format_run_time(seconds: float) -> str:
@@ -115,7 +125,16 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     n_probes = sum(source == frame for (frame, _), source in run.reuse.probes.items())
     n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
     renders = {"capture": (n_captures, capture), "probe": (n_probes, probe), "comparison": (n_comparisons, comparison)}
-    return RunTime(prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s, renders)
+    prepared_s += capture_loaded_s + probe_loaded_s + comparison_loaded_s
+    return RunTime(prepared_s, renders, _budget_renders(run, n_captures))
+
+
+def _budget_renders(run: PreparedRun, n_captures: int) -> dict[str, float]:
+    """How many captures and light probes the renders of an error budget are worth, at most; a look is six squares."""
+    n_probes, n_states = len(run.plan.probes), len({state.room for state in run.reuse.states.values()})
+    n_looks = min(MOST_LOOKS, len(run.plan.frames)) + n_probes * min(MOST_LOOKS, n_states)
+    looks = n_looks * N_VIEWS * min(run.plan.size) / max(run.plan.size)
+    return {"capture": N_SEEDS * (n_captures + looks), "probe": N_SEEDS * n_probes * min(N_MOMENTS, n_states)}
 
 
 def _timed_probe(run: PreparedRun) -> tuple[float, RenderTime]:
