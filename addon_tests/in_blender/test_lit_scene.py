@@ -1,5 +1,6 @@
 """The scene `Xihe Lit`: in the .blend that a run saves, whose light is that of results.json, and in the open file."""
 
+import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from shown_lights import keyed, shown_light
 from tiny_scenes import box, material, opened, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
+from xihe_blender.addon.run_settings import choices_of_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, RUN_BESIDE, has_anything, lit_scene
 from xihe_blender.apply.keyed_camera import key_camera
@@ -30,10 +32,12 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
+from xihe_blender.light_transport.overrides import remembered_overrides
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.io.frame_files import FrameCamera
 from xihenet.light.key_light import rest_of
 from xihenet.records import Intrinsics
+from xihenet.trigger import RULES
 
 SETTINGS = QuickProbes(**DRAFT, estimator="projection", samples=16)
 
@@ -179,6 +183,38 @@ def test_the_panel_shows_the_run_beside_the_lit_file_and_still_does_when_both_we
         moved = sent.parent.rename(tmp_path / "moved") / "out"
         opened(moved / "untitled_lit.blend")
         assert found_folder(scene_with_run().xihe.run_folder) == moved
+
+
+TOLD = {
+    "phone and network": {"phone": "ipad_pro_lidar", "network": "lte", "seed": 7, "captured": "in-view"},
+    "light": {"target": "ldr", "light": "sh+key", "between_estimates": "kept", "others": ("projection", "pointar")},
+    "file": {"phone": "/phones/mine.toml", "metering": "key", "backend": "http://10.0.0.1:8550"},
+    "exposure": {"metering": None, "reference_exposure": 2.5, "size": (20, 30), "frames": (2, 4)},
+    "every frame": {"trigger": vars(RULES["every-frame"])},
+    "theta above noise": {"trigger": vars(RULES["split"]) | {"theta": 0.02}},
+    "effects": {"effect_choices": {"motion blur": "on"}},
+    "an estimator that is not installed": {"estimator": "theirs", "preset": "accurate"},
+}
+
+
+@pytest.mark.parametrize("told", TOLD)
+def test_the_panel_of_the_lit_file_has_the_runs_settings(ran, tmp_path, told):
+    made = json.loads((ran.out / "results.json").read_text())
+    made["settings"] |= TOLD[told]
+    shutil.copyfile(ran.out / "untitled_lit.blend", tmp_path / "untitled_lit.blend")
+    (tmp_path / "results.json").write_text(json.dumps(made))
+    with registered_addon():
+        scene = opened(tmp_path / "untitled_lit.blend")
+        chosen = choices_of_run(scene) | {"effect_choices": remembered_overrides(scene)}
+        chosen["frames"] = chosen["frames"] or tuple(range(1, N_FRAMES + 1))
+    run = read_results(tmp_path).settings
+    wanted = {name: getattr(run, name, None) for name in chosen}
+    is_split = told == "theta above noise" or "trigger" not in TOLD[told]
+    wanted |= {"trigger": "split" if is_split else "every-frame", "metering": {"key": "key"}.get(run.metering)}
+    wanted |= {"exposure": None if run.metering else 2.5, "size": run.size}
+    if run.estimator == "theirs":
+        wanted["estimator"] = "lattice"
+    assert chosen == wanted
 
 
 def test_the_lit_file_knows_no_run_but_its_own(ran, tmp_path):

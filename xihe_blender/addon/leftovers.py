@@ -6,13 +6,16 @@ soon as it is back. An Undo in the middle of a run ends the run, since it takes 
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import bpy
 
 from xihe_blender.addon.background_run import newest_run
+from xihe_blender.addon.runs_folder import last_run
 from xihe_blender.apply.datablocks import ROOM, RUN_BESIDE, lit_scene
 from xihe_blender.apply.lit_scene import remove_lit_collections
+from xihe_blender.errors import UserError
 from xihe_blender.scene.state import WORKING, remove_copied_scene
 
 
@@ -37,7 +40,7 @@ def _after_load(*_: Any) -> None:
     # What was followed is left alone now; a file that was saved meanwhile says otherwise.
     job = bpy.context.window_manager.xihe
     job.is_running = job.is_cancel_wanted = False
-    job.doing = job.error = job.run_estimate = ""
+    job.doing = job.error = job.run_estimate = job.budget_estimate = ""
     job.progress = job.seconds_left = 0.0
     _look_for_run()
     remove_working_scenes()
@@ -54,13 +57,19 @@ def _look_for_run() -> None:
 
 
 def _show_run_beside() -> None:
-    """Have the lit file of a run show that run, when it is opened for the first time."""
+    """Have the lit file of a run show that run, and its settings, when it is opened for the first time."""
     lit = lit_scene()
     if lit is None or RUN_BESIDE not in lit:
         return
     folder = bpy.path.abspath(lit.pop(RUN_BESIDE))  # The file may be saved elsewhere.
     for scene in filter(None, (lit, lit[ROOM])):
         scene.xihe.run_folder, scene.xihe.run_made_of, scene.xihe.begun_run = folder, "", ""
+    room, run = lit[ROOM], last_run(folder)
+    if room is not None and run is not None:
+        from xihe_blender.addon.run_settings import choose_as_run
+
+        with contextlib.suppress(UserError):
+            choose_as_run(room, run)
 
 
 def register() -> None:

@@ -5,6 +5,7 @@ Imported when an operator runs: it needs the work modules, and they need NumPy.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,13 +19,17 @@ from xihe_blender.addon.preferences import preferences
 from xihe_blender.addon.results_in_blender import show_results
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_results import RunResults
 from xihe_blender.jobs import Job, run_blocking
-from xihe_blender.light_transport.overrides import remembered_overrides
+from xihe_blender.light_transport.overrides import remember_overrides, remembered_overrides
+from xihe_blender.previs.plan import captured_size, planned_frames
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings, settings_of
 from xihenet import estimators
 from xihenet.effects import Effect
+from xihenet.phone import load_profile, profile_names
+from xihenet.trigger import RULES
 
 
 def run_and_show(scene: bpy.types.Scene, folder: Path, settings: PrevisSettings) -> Job[None]:
@@ -67,6 +72,47 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
         "phone": _phone(scene),
         "network": None if chosen.network == NO_NETWORK else chosen.network,
     }
+
+
+def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
+    """Have the panel choose for `scene` what `run`, made of it, was told, from wherever it was started.
+
+    Not what the panel has no choice for: samples, a noise target, some of the objects. An estimator that is not
+    installed here is left out. UserError where the scene has no frames.
+    """
+    made, frames = run.settings, list(run.settings.frames)
+    is_known = made.phone in profile_names()
+    is_phones = made.metering is None or (is_known and made.metering == load_profile(made.phone).metering)
+    is_each = made.trigger["policy"] == "split" and made.trigger["theta"] == RULES["every-frame"].theta
+    choices = {
+        "estimator": made.estimator,
+        "others": set(made.others),
+        "preset": made.preset,
+        "target": made.target,
+        "light": made.light,
+        "uses_edge_server": made.backend is not None,
+        "edge_server": made.backend or scene.xihe.edge_server,
+        "captures_path": made.captured == "path",
+        "carries_light": made.between_estimates == "carried",
+        "phone": made.phone if is_known else FROM_FILE,
+        "phone_file": "" if is_known else made.phone,
+        "network": made.network or NO_NETWORK,
+        "use_own_frames": frames != planned_frames(scene, None),
+        "frame_start": frames[0],
+        "frame_end": frames[-1],
+        "frame_step": frames[1] - frames[0] if len(frames) > 1 else 1,
+        "use_own_size": made.size != captured_size(scene, PrevisSettings()),
+        "size": made.size,
+        "use_own_exposure": made.metering is None,
+        "exposure": made.reference_exposure,
+        "metering": PHONES_METERING if is_phones else made.metering,
+        "trigger": "every-frame" if is_each else made.trigger["policy"],
+        "seed": made.seed,
+    }
+    for name, value in choices.items():
+        with contextlib.suppress(TypeError):
+            setattr(scene.xihe, name, value)
+    remember_overrides(scene, made.effect_choices)
 
 
 def chosen_frames(scene: bpy.types.Scene) -> tuple[int, ...] | None:
