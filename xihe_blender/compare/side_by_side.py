@@ -22,7 +22,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_picture
 from xihe_blender.io.run_results import RunResults
 from xihe_blender.scene.colour_management import show_as_it_is
-from xihe_blender.scene.state import WORKING
+from xihe_blender.scene.state import WORKING, no_render_result_left
 from xihenet.records import ArrayF32
 
 WIPE_LINE = 1.0
@@ -204,7 +204,7 @@ def render(scene: bpy.types.Scene, path: Path) -> None:
     """Render all of `scene`. UserError if this Blender cannot."""
     scene.render.filepath = str(path)
     try:
-        with bpy.context.temp_override(scene=scene):
+        with no_render_result_left(), bpy.context.temp_override(scene=scene):
             bpy.ops.render.render(animation=True)
     except (RuntimeError, TypeError) as error:
         raise UserError(f"Blender could not write {path.name}: {str(error).strip()}") from error

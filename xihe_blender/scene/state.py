@@ -66,18 +66,27 @@ def show_to_camera_alone(item: bpy.types.Object) -> None:
 @contextlib.contextmanager
 def scene_kept() -> Iterator[None]:
     """Put back what renders during the block change in the open file, whatever happens in it."""
-    had_result = any(image.type == "RENDER_RESULT" for image in bpy.data.images)
     before = animated_values()
+    try:
+        with no_render_result_left():
+            yield
+    finally:
+        # A render leaves an evaluation pending, which would write over what is put back.
+        _evaluate_pending()
+        put_back(before)
+        _evaluate_pending()
+
+
+@contextlib.contextmanager
+def no_render_result_left() -> Iterator[None]:
+    """Take the image of a render's result away after the block, unless the file had one before."""
+    had_result = any(image.type == "RENDER_RESULT" for image in bpy.data.images)
     try:
         yield
     finally:
         if not had_result:
             for image in [i for i in bpy.data.images if i.type == "RENDER_RESULT"]:
                 bpy.data.images.remove(image)
-        # A render leaves an evaluation pending, which would write over what is put back.
-        _evaluate_pending()
-        put_back(before)
-        _evaluate_pending()
 
 
 def _evaluate_pending() -> None:
