@@ -84,8 +84,9 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     overrides = _overrides_of(chosen, room)
     hiding = [] if virtual else _layers_without(scene, chosen)
     collection = virtual_collection(scene, create=bool(chosen))
-    for layer in hiding if chosen else ():
-        layer.layer_collection.children[collection.name].exclude = True
+    if collection is not None:
+        for layer in hiding:
+            layer.layer_collection.children[collection.name].exclude = True
     _move(scene, overrides, collection)
     virtual, room = collections_of(scene)
     for item in chosen:
