@@ -448,8 +448,8 @@ def test_its_worlds_are_keyed_and_its_camera_is_where_the_phone_was(shown):
         assert np.abs(placed(room, frame) - expected).max() > 1
 
 
-def test_where_a_capture_is_gone_the_camera_is_a_copy(ran, shown):
-    room = bpy.data.scenes["Scene"]
+def test_where_a_capture_is_gone_the_camera_is_a_copy(ran):
+    room = opened(ran.out / "after.blend")
     path, away = RunOutputs(ran.out).capture(2), ran.out / "away.exr"
     path.rename(away)
     try:
@@ -497,6 +497,55 @@ def test_it_is_saved_with_the_file_and_shown_again_in_place_of_itself(ran, shown
     show_lit(bpy.data.scenes["Scene"], ran.out)
     assert sorted(scene.name for scene in bpy.data.scenes) == ["Scene", LIT_SCENE]
     assert len([image for image in bpy.data.images if image.name.startswith(LIT_SCENE)]) == 1
+
+
+def added_lamp(lit):
+    lamp = bpy.data.objects.new("Fill", bpy.data.lights.new("Fill", "AREA"))
+    lit.collection.objects.link(lamp)
+    return lamp
+
+
+def test_what_is_changed_in_it_stays_and_what_moves_in_the_room_hides_objects_where_it_is_now(ran, shown):
+    room, lamp = bpy.data.scenes["Scene"], added_lamp(shown)
+    shown.cycles.samples = 77
+    shown.node_tree.nodes.new("CompositorNodeBlur") if hasattr(shown, "node_tree") else None
+    table, n_objects, n_nodes = bpy.data.objects["Table"], len(shown.objects), len(nodes_of(shown))
+    table.location.x += 0.5
+    bpy.context.view_layer.update()
+    assert show_lit(room, ran.out) == shown and shown.cycles.samples == 77 and len(nodes_of(shown)) == n_nodes
+    shown.view_layers[0].update()
+    assert shown.objects["Xihe Lit Table"].location == table.location
+    assert len(shown.objects) == n_objects and lamp in set(shown.objects)
+
+
+def nodes_of(lit):
+    tree = lit.compositing_node_group if hasattr(lit, "compositing_node_group") else lit.node_tree
+    return tree.nodes
+
+
+def test_a_lamp_of_the_user_stays_in_it_when_it_is_made_anew_and_never_lights_the_room(ran, shown):
+    room, lamp = bpy.data.scenes["Scene"], added_lamp(shown)
+    virtual_collection(room).objects.unlink(bpy.data.objects["Board"])
+    again = show_lit(room, ran.out)
+    assert [layer.name for layer in again.view_layers] == ["Xihe Ball", "Xihe Unseen"]
+    assert lamp in set(again.objects) and lamp not in set(room.objects)
+    remove_lit_scene()
+    assert lit_scene() is None and not lamp.users_scene
+    assert lamp in set(show_lit(room, ran.out).objects) and lamp not in set(room.objects)
+    remove_everything(room)
+    bpy.data.orphans_purge()
+    assert lamp in set(bpy.data.objects), "it is the user's"
+
+
+def test_the_one_that_was_saved_with_the_run_is_shown_over_its_frames_as_it_was_left(ran, tmp_path):
+    shutil.copytree(ran.out, tmp_path / "moved")
+    with registered_addon():
+        room = opened(tmp_path / "moved" / "untitled_lit.blend")
+        saved_lit = lit_scene()
+        saved_lit["mine"] = 1
+        assert show_lit(room, found_folder(room.xihe.run_folder)) == saved_lit and saved_lit["mine"] == 1
+    assert saved_lit.camera.data.show_background_images and len(nodes_of(saved_lit)) > 3
+    assert "Xihe Lit Table" in saved_lit.objects
 
 
 @pytest.mark.parametrize("asked_from_the_lit_scene", [True, False])

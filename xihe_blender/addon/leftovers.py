@@ -12,8 +12,8 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon.background_run import newest_run
-from xihe_blender.addon.runs_folder import last_run
-from xihe_blender.apply.datablocks import ROOM, RUN_BESIDE, lit_scene
+from xihe_blender.addon.runs_folder import last_part, last_run
+from xihe_blender.apply.datablocks import OF_RUN, ROOM, RUN_BESIDE, lit_scene
 from xihe_blender.apply.lit_scene import remove_lit_collections
 from xihe_blender.errors import UserError
 from xihe_blender.scene.state import WORKING, remove_copied_scene
@@ -62,6 +62,8 @@ def _show_run_beside() -> None:
     if lit is None or RUN_BESIDE not in lit:
         return
     folder = bpy.path.abspath(lit.pop(RUN_BESIDE))  # The file may be saved elsewhere.
+    if OF_RUN in lit:  # Not in those that earlier versions saved.
+        lit[OF_RUN] = last_part(folder)
     for scene in filter(None, (lit, lit[ROOM])):
         scene.xihe.run_folder, scene.xihe.run_made_of, scene.xihe.begun_run = folder, "", ""
     room, run = lit[ROOM], last_run(folder)

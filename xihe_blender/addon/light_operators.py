@@ -85,7 +85,7 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
             names = ", ".join(item.name for item in added)
             said = f"What you added in Xihe Lit is now in the room too, in the collection Xihe Virtual: {names}"
             self.report(
-                {"INFO"}, f"{said}. Show Lit gives objects light of their own, and does not show lamps and cameras"
+                {"INFO"}, f"{said}. Show Lit gives objects light of their own; lamps and cameras stay in Xihe Lit"
             )
         room.frame_set(lit.frame_current)
         if context.window is not None:

@@ -21,10 +21,12 @@ from xihe_blender.apply.datablocks import (
     COMPARISON_NAME,
     FRAME,
     LIGHT_PREFIX,
+    OF_RUN,
     ROOM,
     LightOf,
     applied_worlds,
     image_named,
+    lit_scene,
     our_images,
     room_of,
     trigger_markers,
@@ -33,7 +35,16 @@ from xihe_blender.apply.datablocks import (
 from xihe_blender.apply.images import write_image
 from xihe_blender.apply.key_suns import key_suns, remove_key_sun
 from xihe_blender.apply.keys import clear_keys, hold_keys
-from xihe_blender.apply.lit_scene import CapturedFrames, hide_behind_room, put_over_frames, remove_lit_scene
+from xihe_blender.apply.lit_scene import (
+    CapturedFrames,
+    has_compositor,
+    hide_behind_room,
+    is_of_run,
+    is_over_frames,
+    put_over_frames,
+    remove_lit_scene,
+    show_room_anew,
+)
 from xihe_blender.apply.lit_timeline import apply_lights, key_object_light, light_of, reflected_of
 from xihe_blender.apply.placement_map import remove_placement_map
 from xihe_blender.apply.sh_worlds import (
@@ -103,8 +114,9 @@ def left_out(scene: bpy.types.Scene, folder: Path) -> str | None:
 
 
 def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.types.Scene:
-    """A scene `Xihe Lit` in the open file for a run of `scene`, in place of an older one; its world is `active`'s.
+    """A scene `Xihe Lit` in the open file for a run of `scene`; its world is `active`'s.
 
+    The one that is there, as the user left it, if it is of the same run and objects; else in its place.
     UserError if no virtual object of the run is in the scene any more, or if nothing was captured.
     """
     results = read_results(folder)
@@ -116,15 +128,22 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     gone = [path for path in pictures.values() if not path.is_file()]
     if gone or not pictures:
         raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
-    remove_lit_scene()
-    objects, worlds = virtual_objects(scene), applied_worlds(scene)
-    lit = make_lit_scene(scene, [item for item in objects if item.name in worlds], last_surfaces(results.frames))
-    hide_behind_room(lit, scene, objects)
-    lit[ROOM] = scene
-    exposure = results.settings.reference_exposure
-    path = range(results.frames[0].frame, results.frames[-1].frame + 1)
-    size, cameras = results.settings.size, phone_cameras(folder, captured)
-    put_over_frames(lit, CapturedFrames(pictures, path, folder / "lit", size, exposure, cameras))
+    objects, worlds, lit = virtual_objects(scene), applied_worlds(scene), lit_scene()
+    shown = [item for item in objects if item.name in worlds]
+    is_kept = lit is not None and is_of_run(lit, scene, folder.name, shown)
+    if lit is not None and is_kept:
+        show_room_anew(lit, scene, objects)
+    else:
+        remove_lit_scene()
+        lit = make_lit_scene(scene, shown, last_surfaces(results.frames))
+        hide_behind_room(lit, scene, objects)
+        lit[ROOM], lit[OF_RUN] = scene, folder.name
+    if not is_over_frames(lit):
+        exposure = results.settings.reference_exposure
+        path = range(results.frames[0].frame, results.frames[-1].frame + 1)
+        size, cameras = results.settings.size, phone_cameras(folder, captured)
+        frames = CapturedFrames(pictures, path, folder / "lit", size, exposure, cameras)
+        put_over_frames(lit, frames, keeps_compositor=has_compositor(lit))
     lit.world = applied_worlds(scene).get(active, lit.world)
     return lit
 

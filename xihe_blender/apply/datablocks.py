@@ -33,6 +33,9 @@ ROOM = "xihe_room"
 RUN_BESIDE = "xihe_run"
 """Custom property of `Xihe Lit` in the lit file of a run: where the run lies, relative to that file."""
 
+OF_RUN = "xihe_of_run"
+"""Custom property of `Xihe Lit`: the name of the folder of the run that it shows."""
+
 MADE_BY = "xihe_image"
 """Custom property of our images, so that one of the user's of the same name is left alone."""
 

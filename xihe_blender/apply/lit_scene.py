@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 import shutil
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ import bmesh
 import bpy
 from mathutils import Matrix
 
-from xihe_blender.apply.datablocks import KEY_LIGHT, LIT_SCENE, ROOM, SHADOW_CATCHER, lit_scene
+from xihe_blender.apply.datablocks import KEY_LIGHT, LIT_SCENE, OF_RUN, ROOM, SHADOW_CATCHER, lit_scene
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.io.outputs import link_or_copy
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
@@ -43,6 +43,10 @@ ROOM_COPY = "xihe_room_copy"
 SHOWN = "xihe_shown"
 """Custom property of a collection of the scene: the virtual object that it was made for."""
 
+ADDED = f"{LIT_SCENE} Lamps"
+"""Collection of the lamps and cameras that the user added to `Xihe Lit`, while there is no such scene, and after."""
+
+_OF_LIT = ("LIGHT", "CAMERA")
 _SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "CURVES", "POINTCLOUD")
 _MARKS = (ROOM_COPY, KEY_LIGHT, SHADOW_CATCHER)
 _FROM_EDGES = ("NODES", "SCREW", "SKIN")
@@ -94,11 +98,11 @@ class CapturedFrames:
         return folder / "frame_0001.png"
 
 
-def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
+def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames, *, keeps_compositor: bool = False) -> None:
     """Show the captured frames behind the objects: in the camera's view, and in what is rendered.
 
     The picture keeps the frames' shape, and is as large along its longer side as the scene's own. One that the user
-    makes wider shows the middle of the frame.
+    makes wider shows the middle of the frame. With `keeps_compositor` its nodes stay as they are.
     """
     from xihe_blender.scene.colour_management import show_as_it_is  # The panel, which imports this, knows no NumPy
 
@@ -130,7 +134,8 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     view.exposure, lit.cycles.film_exposure = math.log2(frames.exposure), 1.0
     if hasattr(view, "use_white_balance"):  # from Blender 4.3 on
         view.use_white_balance = False
-    _compose(lit, image, frames)
+    if not keeps_compositor:
+        _compose(lit, image, frames)
 
 
 def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> None:
@@ -336,17 +341,14 @@ def _compositor_tree(lit: bpy.types.Scene) -> bpy.types.NodeTree:
 def keep_added() -> list[bpy.types.Object]:
     """Make virtual in its room what the user added to the scene `Xihe Lit`, where it would go with that; gives those.
 
-    Duplicates of the objects shown, and whatever else is in no other scene and not ours. None without the scene or its
-    room, or where that room's virtual objects are another file's.
+    Duplicates of the objects shown, and whatever else is in no other scene and not ours, but for lamps and cameras.
+    None without the scene or its room, or where that room's virtual objects are another file's.
     """
     lit = lit_scene()
     room = None if lit is None else lit.get(ROOM)
     if lit is None or room is None:
         return []
-    shown = {collection.get(SHOWN) for collection in lit.collection.children}
-    phones = {item for item in lit.collection.objects if item.name.startswith(PHONE)}
-    ours = shown | phones | {item for item in lit.objects if any(mark in item for mark in _MARKS)}
-    added = [item for item in lit.objects if item not in ours and set(item.users_scene) == {lit}]
+    added = [item for item in _added(lit) if item.type not in _OF_LIT]
     collection = virtual_collection(room, create=bool(added))
     if collection is None or collection.library is not None or collection.override_library is not None:
         return []
@@ -355,26 +357,50 @@ def keep_added() -> list[bpy.types.Object]:
     return added
 
 
+def _added(lit: bpy.types.Scene) -> list[bpy.types.Object]:
+    shown = {collection.get(SHOWN) for collection in lit.collection.children}
+    ours = shown | {*_phones(lit)} | {item for item in lit.objects if any(mark in item for mark in _MARKS)}
+    return [item for item in lit.objects if item not in ours and set(item.users_scene) == {lit}]
+
+
+def _phones(lit: bpy.types.Scene) -> list[bpy.types.Object]:
+    return [item for item in lit.collection.objects if item.name.startswith(PHONE)]
+
+
+def _added_lamps() -> bpy.types.Collection | None:
+    return bpy.data.collections.get((ADDED, None))
+
+
+def bring_lamps(lit: bpy.types.Scene) -> None:
+    """Have `lit` show the lamps and cameras that the user had added to the one before it."""
+    lamps = _added_lamps()
+    if lamps is not None:
+        lit.collection.children.link(lamps)
+
+
 def remove_lit_scene() -> None:
     """Remove the open file's scene `Xihe Lit` and all that only it uses; windows that show it go back to its room.
 
-    What the user added to it stays, as of `keep_added`.
+    What the user added to it stays, as of `keep_added`; lamps and cameras for the next one, in a collection that no
+    scene shows.
     """
     lit = lit_scene()
     if lit is None:
         return
     keep_added()
+    if lamps := [item for item in _added(lit) if item.type in _OF_LIT]:
+        kept = _added_lamps() or bpy.data.collections.new(ADDED)
+        kept.use_fake_user = True
+        for item in set(lamps) - set(kept.objects):
+            kept.objects.link(item)
     room = lit.get(ROOM)
     for manager in bpy.data.window_managers:
         for window in manager.windows:
             if window.scene == lit and room is not None:
                 window.scene = room
     remove_shadow_catchers(shadow_catchers(lit))
-    own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None)}
-    copies = [item for item in lit.objects if ROOM_COPY in item]
-    parts = [block for item in copies for block in (item, item.data, item.instance_collection)]
-    own |= {block for block in parts if block is not None and ROOM_COPY in block}
-    for camera in [item for item in lit.collection.objects if item.name.startswith(PHONE)]:
+    own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None), *_room_copies(lit)}
+    for camera in _phones(lit):
         own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
         actions = [owner.animation_data.action for owner in (camera, camera.data) if owner.animation_data is not None]
         own |= {action for action in actions if action is not None and action.name.startswith(PHONE)}
@@ -382,6 +408,44 @@ def remove_lit_scene() -> None:
     remove_lit_collections()
     # At once: with its data an object goes too.
     bpy.data.batch_remove(own - {None})
+
+
+def _room_copies(lit: bpy.types.Scene) -> set[bpy.types.ID]:
+    copies = [item for item in lit.objects if ROOM_COPY in item]
+    parts = [block for item in copies for block in (item, item.data, item.instance_collection)]
+    return {block for block in parts if block is not None and ROOM_COPY in block}
+
+
+def is_of_run(lit: bpy.types.Scene, room: bpy.types.Scene, run: str, objects: Iterable[bpy.types.Object]) -> bool:
+    """Whether `lit` was made of the run called `run`, with the same `objects` of `room`."""
+    shown = {collection.get(SHOWN) for collection in lit.collection.children} - {None}
+    return lit.get(ROOM) == room and lit.get(OF_RUN) == run and shown == set(objects)
+
+
+def show_room_anew(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> None:
+    """Have `lit` hidden by the room, and at the frame, as they are now; all else in it stays as the user left it."""
+    bpy.data.batch_remove(_room_copies(lit))
+    for holder in [child for child in lit.collection.children if child.name.startswith(f"{LIT_SCENE} Room")]:
+        bpy.data.collections.remove(holder)
+    hide_behind_room(lit, room, objects)
+    lit.frame_set(room.frame_current)
+
+
+def is_over_frames(lit: bpy.types.Scene) -> bool:
+    """Whether `put_over_frames` was there."""
+    return bool(_phones(lit))
+
+
+def has_compositor(lit: bpy.types.Scene) -> bool:
+    return lit.compositing_node_group is not None if hasattr(lit, "compositing_node_group") else lit.use_nodes
+
+
+def leave_compositor(lit: bpy.types.Scene) -> None:
+    """Take away the nodes that `lit` was copied with: they are of another scene's view layers."""
+    if hasattr(lit, "compositing_node_group"):
+        lit.compositing_node_group = None
+    else:
+        lit.use_nodes = False
 
 
 def set_up_lit_scene(

@@ -12,8 +12,15 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.apply import key_suns
-from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, RUN_BESIDE, applied_worlds
-from xihe_blender.apply.lit_scene import remove_lit_collections, remove_lit_scene, set_up_lit_scene, show_only_in
+from xihe_blender.apply.datablocks import LIT_SCENE, OF_RUN, ROOM, RUN_BESIDE, applied_worlds
+from xihe_blender.apply.lit_scene import (
+    bring_lamps,
+    leave_compositor,
+    remove_lit_collections,
+    remove_lit_scene,
+    set_up_lit_scene,
+    show_only_in,
+)
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
     catch_shadows_of,
@@ -63,6 +70,8 @@ def make_lit_scene(
         else:
             catch_shadows(catcher, surfaces[name], metres_per_unit(scene), LIFTED_M)
         show_only_in(lit, catcher, [worlds[name].name])
+    bring_lamps(lit)
+    leave_compositor(lit)
     lit.world = next(iter(worlds.values()))
     lit.render.engine, lit.render.use_multiview = "CYCLES", False  # A phone takes one picture, not one for each eye.
     # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
@@ -83,7 +92,7 @@ def save_lit_blend(
     remove_lit_scene()
     lit = make_lit_scene(scene, objects, surfaces)
     # The panel shows the run that the file is of: the copied scene may still know an earlier one, or none.
-    lit[ROOM], lit[RUN_BESIDE] = scene, "//"
+    lit[ROOM], lit[RUN_BESIDE], lit[OF_RUN] = scene, "//", path.parent.name
     try:
         save_copy(lit, path, compress=True)
     finally:
