@@ -7,7 +7,8 @@ results would then make other pages elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import unicodedata
+from collections.abc import Collection, Iterable, Sequence
 
 DASH = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
@@ -95,6 +96,12 @@ def format_list(words: Sequence[str]) -> str:
 def format_names(names: Iterable[str]) -> str:
     """Names with commas between, as the command line takes them: one with a comma, or a space at an end, in quotes."""
     return ", ".join(_quoted(name) if "," in name or name != name.strip().lstrip('"') else name for name in names)
+
+
+def as_spelled(wanted: Iterable[str], known: Collection[str]) -> list[str]:
+    """Names that somebody typed, each as it is in `known`: "é" may be one character or two. Unknown ones stay."""
+    spelled = {unicodedata.normalize("NFC", name): name for name in known}
+    return [name if name in known else spelled.get(unicodedata.normalize("NFC", name), name) for name in wanted]
 
 
 def _quoted(name: str) -> str:

@@ -107,6 +107,15 @@ def test_the_name_of_a_world_fits_and_tells_its_object(name):
 # ---------------------------------------------------------------------------------------------------------- two scenes
 
 
+def test_an_accent_may_be_typed_as_one_sign_where_the_name_has_two():
+    scene = walk(2)
+    scene.objects["Ball"].name = "Cafe\N{COMBINING ACUTE ACCENT}"
+    wanted = ("Caf\N{LATIN SMALL LETTER E WITH ACUTE}",)
+    assert plan_previs(scene, replace(SMALL, objects=wanted)).objects == (
+        scene.objects["Cafe\N{COMBINING ACUTE ACCENT}"],
+    )
+
+
 def test_only_the_scene_that_runs_gets_light_and_markers(tmp_path):
     first = room_with_a_virtual_sphere(2)
     first.name = "First"

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from xihe_blender.cli.arguments import names
 from xihenet import svg
 from xihenet.formats import (
+    as_spelled,
     format_bytes,
     format_count,
     format_duration,
@@ -103,3 +104,10 @@ def test_names_that_are_typed_need_quotes_only_for_commas_and_spaces_at_their_en
     assert names(' Cup,, Chair "oak", 2" pipe , "Chair, oak"," lead ",') == (
         "Cup", 'Chair "oak"', '2" pipe', "Chair, oak", " lead ",
     )  # fmt: skip
+
+
+def test_a_name_is_found_in_either_spelling_of_its_accents():
+    one_sign, two_signs = "Caf\N{LATIN SMALL LETTER E WITH ACUTE}", "Cafe\N{COMBINING ACUTE ACCENT}"
+    assert as_spelled([one_sign, "Nobody"], [two_signs, "Ball"]) == [two_signs, "Nobody"]
+    assert as_spelled([two_signs], [one_sign]) == [one_sign]
+    assert as_spelled([one_sign, two_signs], [two_signs, one_sign]) == [one_sign, two_signs]

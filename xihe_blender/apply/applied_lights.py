@@ -14,7 +14,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.run_lights import LightsAsked
 from xihe_blender.scene.colour_management import in_rec709
 from xihe_blender.scene.units import seconds_of
-from xihenet.formats import format_names
+from xihenet.formats import as_spelled, format_names
 from xihenet.light.exports import NamedLight, scaled
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight, ObjectLight
@@ -26,7 +26,7 @@ def lights_of_scene(scene: bpy.types.Scene, asked: LightsAsked) -> list[NamedLig
     Without `asked.frame` the last that is keyed. What parts a light has is what the file has.
     """
     worlds = applied_worlds(scene)
-    chosen = list(worlds) if asked.objects is None else list(asked.objects)
+    chosen = list(worlds) if asked.objects is None else as_spelled(asked.objects, worlds)
     if not chosen and asked.objects is None:
         raise UserError(f"scene {scene.name!r} has no lit virtual object: give the lit .blend that a run leaves")
     if unknown := [name for name in chosen if name not in worlds]:

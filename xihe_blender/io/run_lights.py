@@ -24,7 +24,7 @@ from xihe_blender.io.run_results import (
     RunResults,
     SurfaceResult,
 )
-from xihenet.formats import format_names
+from xihenet.formats import as_spelled, format_names
 from xihenet.light import LightParts
 from xihenet.light.environments import laid_out_as_ours
 from xihenet.light.exports import NamedLight, export_files, scaled
@@ -155,7 +155,7 @@ def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[
         raise UserError(
             f"the run was made with --light {made}: run xihe previs again with --light {parts}, or ask for {made}"
         )
-    chosen = list(results.lights) if asked.objects is None else list(asked.objects)
+    chosen = list(results.lights) if asked.objects is None else as_spelled(asked.objects, results.lights)
     if unknown := [name for name in chosen if name not in results.lights]:
         raise UserError(f"the run has no virtual object {unknown[0]!r}; it has {format_names(results.lights)}")
     gain = 1.0 if asked.units == "picture" else 1.0 / results.settings.reference_exposure

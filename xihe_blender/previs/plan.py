@@ -25,7 +25,7 @@ from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
 from xihenet import __version__
 from xihenet.camera import Intrinsics
-from xihenet.formats import format_names
+from xihenet.formats import as_spelled, format_names
 from xihenet.records import ArrayF64
 
 DEFAULT_SIZE = (256, 192)
@@ -136,10 +136,10 @@ def planned_objects(scene: bpy.types.Scene, wanted: Sequence[str] | None) -> lis
                 f"two virtual objects are named {item.name!r}, one of them linked from {linked.library.filepath}: "
                 "rename one of them"
             )
-    unknown = [name for name in wanted or () if name not in found]
-    if unknown:
+    names = list(found) if wanted is None else as_spelled(wanted, found)
+    if unknown := [name for name in names if name not in found]:
         raise UserError(f"there is no virtual object {unknown[0]!r}: choose among {format_names(found)}")
-    chosen = [item for item in items if wanted is None or item.name in wanted]
+    chosen = [item for item in items if item.name in names]
     _, room = collections_of(scene)
     for item in chosen:
         home = next((home for home in item.users_collection if home in room), None)

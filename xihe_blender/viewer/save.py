@@ -12,6 +12,7 @@ from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.viewer.gltf import viewed_objects
 from xihe_blender.viewer.page import viewed_frames, viewer_page
+from xihenet.formats import as_spelled
 
 
 def save_viewer(
@@ -29,8 +30,8 @@ def save_viewer(
     if not blend.is_file():
         raise UserError(f"there is no {blend}: name the .blend with the virtual objects by --from")
     scene = open_blend(blend)
-    wanted = list(results.lights) if objects is None else list(objects)
     there = {item.name: item for item in scene.objects}
+    wanted = list(results.lights) if objects is None else as_spelled(objects, there)
     lacking = [name for name in wanted if name not in there]
     if lacking or not wanted:
         named = f"no virtual object {lacking[0]!r}" if lacking else "no virtual objects"
