@@ -340,6 +340,8 @@ MISTAKES = {
         "--exposure -1": "positive",
         "--metering spot": "highlights, key",
         "--exposure nan": "positive",
+        "--exposure 1,5": "--exposure ... with a point",
+        "--samples 1.5": "--samples ... whole number",
         "--seed -1": "0 to",
         "--effect volumes=perhaps": "auto, on or off",
         "--effect noise": "NAME=on",

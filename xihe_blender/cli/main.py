@@ -89,7 +89,8 @@ class _Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self.register("type", Path, _path)
+        for kind, read in ((Path, _path), (float, _number), (int, _whole_number)):
+            self.register("type", kind, read)
 
     def error(self, message: str) -> NoReturn:
         raise UserError(f"{message}; see {self.prog} {self.command}".rstrip() + " --help")
@@ -133,6 +134,20 @@ def _path(text: str) -> Path:
         return Path(text).expanduser()
     except RuntimeError:  # Of nobody's home, such as that of "~x".
         return Path(text)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number: give one such as 0.5, with a point") from error
+
+
+def _whole_number(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number: give one such as 8") from error
 
 
 def _failed(message: str) -> int:
