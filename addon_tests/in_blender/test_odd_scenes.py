@@ -255,6 +255,40 @@ def test_all_files_that_a_render_reads_are_known_and_no_others(tmp_path):
     assert here("fluid/**/*", "cloth/*.bphys") < set(files_read()) == without_folder | here("cloth/*.bphys")
 
 
+def given_to_nodes(item, kind, value):
+    """Geometry nodes of `item` that import the STL file of an input of its modifier; the modifier, and the input."""
+    tree = bpy.data.node_groups.new("Import", "GeometryNodeTree")
+    given = tree.interface.new_socket("File", in_out="INPUT", socket_type="NodeSocketString")
+    given.subtype = kind
+    node = tree.nodes.new("GeometryNodeImportSTL")
+    tree.links.new(tree.nodes.new("NodeGroupInput").outputs[0], node.inputs["Path"])
+    modifier = item.modifiers.new("Import", "NODES")
+    modifier.node_group, modifier[given.identifier] = tree, value
+    return modifier, given.identifier
+
+
+def test_what_geometry_nodes_are_given_and_all_kinds_of_baked_physics_are_read(tmp_path):
+    walk(2)
+    scene = opened(saved(tmp_path / "room.blend"))
+    table = scene.objects["Table"]
+    given_to_nodes(table, "FILE_PATH", "//vase.stl")
+    given_to_nodes(table, "NONE", "//cup_")
+    given_to_nodes(table, "NONE", "//cups/")
+    given_to_nodes(table, "NONE", "no path")
+    bpy.ops.rigidbody.world_add()
+    bodies = scene.rigidbody_world.point_cache
+    bodies.filepath, bodies.use_external = "//bodies", True
+    paint = table.modifiers.new("Paint", "DYNAMIC_PAINT")
+    with bpy.context.temp_override(object=table):
+        bpy.ops.dpaint.type_toggle(type="CANVAS")
+    wet = paint.canvas_settings.canvas_surfaces[0].point_cache
+    wet.filepath, wet.use_external = "//wet", True
+    bpy.ops.cachefile.open(filepath=str(tmp_path / "walk.abc"))
+    bpy.data.cache_files[0].layers.new(filepath="//walk_over.abc")
+    names = ("vase.stl", "cup_*", "cups/*", "bodies/*.bphys", "wet/*.bphys", "walk.abc", "walk_over.abc")
+    assert set(files_read()) == {str(tmp_path / name) for name in names}
+
+
 def test_a_cache_of_a_linked_object_lies_beside_its_library(tmp_path):
     (tmp_path / "shot").mkdir()
     empty_scene()
@@ -321,6 +355,7 @@ def test_a_copy_in_another_folder_reads_the_same_files(tmp_path):
     tree.nodes.new("GeometryNodeImportSTL").inputs["Path"].default_value = "//flag.stl"
     nodes = flag.modifiers.new("Nodes", "NODES")
     nodes.show_viewport, nodes.node_group, nodes.bake_directory = False, tree, "//moves"
+    _, given = given_to_nodes(flag, "FILE_PATH", "//given.stl")
     scene = opened(saved(tmp_path / "shot.blend"))
     cloth = scene.objects["Flag"].modifiers["Cloth"].point_cache
     cloth.use_disk_cache, cloth.frame_end = True, 2
@@ -330,8 +365,9 @@ def test_a_copy_in_another_folder_reads_the_same_files(tmp_path):
     copy = tmp_path / "runs" / "walk.blend"
     save_copy(scene, copy)
     assert scene.objects["Flag"].modifiers["Nodes"].bake_directory == "//moves"
+    assert scene.objects["Flag"].modifiers["Import"][given] == "//given.stl"
     opened(copy)
-    elsewhere = {str(tmp_path / name) for name in ("hair/*.bphys", "moves/**/*", "flag.stl")}
+    elsewhere = {str(tmp_path / name) for name in ("hair/*.bphys", "moves/**/*", "flag.stl", "given.stl")}
     assert set(files_read()) == {*elsewhere, str(copy.parent / "blendcache_walk" / "*.bphys")}
     assert len(list(copy.parent.glob("blendcache_walk/*.bphys"))) == 2
 
@@ -367,10 +403,15 @@ def test_files_that_are_missing_are_named_where_a_render_would_read_them(tmp_pat
     node = shader_node(group, "TexIES")
     node.mode, node.filepath = "EXTERNAL", str(tmp_path / "beam.ies")
     shader_node(lamp.node_tree, "Group").node_tree = group
+    given_to_nodes(cube, "FILE_PATH", str(tmp_path / "given.stl"))[0].node_group.nodes.new(
+        "GeometryNodeImportOBJ"
+    ).inputs["Path"].default_value = str(tmp_path / "vase.obj")
     bpy.context.view_layer.update()
     faults = {fault.name: fault.said for fault in faults_at_frame(bpy.context.evaluated_depsgraph_get(), is_first=True)}
-    assert faults.keys() == {"wall", "sky", "smoke", "walk.abc", "Spot", "Beam"}
-    assert "pink" in faults["sky"] and all("without it" in faults[name] for name in ("smoke", "walk.abc"))
+    assert faults.keys() == {"wall", "sky", "smoke", "walk.abc", "Spot", "Beam", "Box", "Import"}
+    assert "pink" in faults["sky"]
+    assert all("without it" in faults[name] for name in ("smoke", "walk.abc", "Box", "Import"))
+    assert "given.stl" in faults["Box"] and "vase.obj" in faults["Import"]
     assert "spot.ies" in faults["Spot"] and "100 times the Strength" in faults["Spot"]
 
 

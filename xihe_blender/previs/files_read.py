@@ -19,7 +19,7 @@ from typing import Any
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
-from xihe_blender.scene.blend_file import cache_folder, point_caches
+from xihe_blender.scene.blend_file import NodePath, cache_folder, paths_of_modifiers, paths_of_nodes, point_caches
 
 LOOKED_AT_IN = (
     bpy.types.Camera, bpy.types.Scene, bpy.types.CompositorNodeTree, bpy.types.Screen, bpy.types.WorkSpace,
@@ -28,7 +28,7 @@ LOOKED_AT_IN = (
 """Users of a picture or a film that no render shows: runs use neither the compositor nor the sequencer of a scene."""
 
 POINTS = "*.bphys"
-"""Cloth, hair, particles and soft bodies, in a folder that may hold anything else, such as the runs themselves."""
+"""Of `point_caches`, in a folder that may hold anything else, such as the runs themselves."""
 
 
 def files_read() -> list[str]:
@@ -53,6 +53,8 @@ def _blocks() -> Iterator[str]:
     shown = (*_shown(bpy.data.images), *_shown(bpy.data.movieclips))
     others = (*_libraries(), *bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts)
     yield from filter(None, map(file_of, (*shown, *others)))
+    for cache in bpy.data.cache_files:
+        yield from (pattern_of(cache, layer.filepath) for layer in cache.layers)
 
 
 def _libraries() -> Iterator[bpy.types.Library]:
@@ -74,12 +76,19 @@ def _nodes() -> Iterator[str]:
     """IES files, scripts in OSL, and what geometry nodes import."""
     for owner in (*bpy.data.materials, *bpy.data.lights, *bpy.data.worlds, *bpy.data.node_groups):
         tree = owner if isinstance(owner, bpy.types.NodeTree) else owner.node_tree
-        for node in tree.nodes if tree is not None else ():
-            sockets = [one for one in node.inputs if one.bl_idname.endswith("FilePath")]
-            paths = [str(one.default_value) for one in sockets]  # type: ignore[attr-defined]
-            if getattr(node, "mode", "EXTERNAL") == "EXTERNAL":
-                paths.append(getattr(node, "filepath", ""))
-            yield from (pattern_of(owner, path) for path in paths if path)
+        nodes = tree.nodes if tree is not None else ()
+        paths = [getattr(node, "filepath", "") for node in nodes if getattr(node, "mode", "EXTERNAL") == "EXTERNAL"]
+        yield from (pattern_of(owner, path) for path in paths if path)
+    for tree in bpy.data.node_groups:
+        yield from (_pattern_of_node_path(tree, one) for one in paths_of_nodes(tree))
+    for item in bpy.data.objects:
+        yield from (_pattern_of_node_path(item, one) for one in paths_of_modifiers(item))
+
+
+def _pattern_of_node_path(owner: bpy.types.ID, one: NodePath) -> str:
+    """Of all files whose path begins so, where nodes join the rest."""
+    pattern = pattern_of(owner, one.path)
+    return pattern if one.is_whole else str(Path(pattern, "*")) if one.path.endswith("/") else f"{pattern}*"
 
 
 def _caches() -> Iterator[str]:
@@ -98,13 +107,13 @@ def _caches() -> Iterator[str]:
             elif modifier.filepath and modifier.type != "OCEAN":
                 yield pattern_of(item, modifier.filepath)
             yield from (_below(item, folder) for folder in folders if folder)
-        for cache in point_caches(item):
-            library = item.library if cache.use_library_path else None
-            file = bpy.path.basename(bpy.data.filepath if library is None else library.filepath)
-            beside = f"//{cache_folder(Path(file)).name}" if cache.use_disk_cache and cache.is_baked else ""
-            folder = bpy.path.abspath(cache.filepath if cache.use_external else beside, library=library)
-            if folder:
-                yield str(Path(pattern_of(item, folder), POINTS))
+    for owner, cache in point_caches():
+        library = owner.library if cache.use_library_path else None
+        file = bpy.path.basename(bpy.data.filepath if library is None else library.filepath)
+        beside = f"//{cache_folder(Path(file)).name}" if cache.use_disk_cache and cache.is_baked else ""
+        folder = bpy.path.abspath(cache.filepath if cache.use_external else beside, library=library)
+        if folder:
+            yield str(Path(pattern_of(owner, folder), POINTS))
 
 
 class _AnyModifier:

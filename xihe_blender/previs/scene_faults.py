@@ -23,6 +23,7 @@ from xihe_blender.io.folder_manifest import matching
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
 from xihe_blender.previs.files_read import file_of, pattern_of
+from xihe_blender.scene.blend_file import paths_of_modifiers, paths_of_nodes
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.shader_nodes import constant, has_nodes
@@ -87,12 +88,19 @@ FIND_IT = "Put the file back, or choose File > External Data > Find Missing File
 
 
 def _missing_files(blocks: Iterable[bpy.types.ID]) -> Iterator[Fault]:
-    """Images, volumes, caches and IES files of `blocks` that are not there; Blender says so only on its console."""
+    """Files of `blocks` that are not there; Blender says so only on its console, or on the node.
+
+    Of images, volumes, caches, lamps (IES), and what geometry nodes import.
+    """
     for block in blocks:
         original, files = block.original, []
         if isinstance(block, READ_FROM_FILES) and not original.name.startswith(PREFIX):
             drawn = "renders pink in its place" if isinstance(block, bpy.types.Image) else "renders without it"
             files = [(file_of(original), original.filepath, drawn)]
+        elif isinstance(block, bpy.types.Object | bpy.types.GeometryNodeTree):
+            found = paths_of_modifiers(original) if isinstance(block, bpy.types.Object) else paths_of_nodes(original)
+            paths = [one.path for one in found if one.is_whole]
+            files = [(pattern_of(original, path), path, "renders without it") for path in paths]
         else:
             nodes = [node for node in _shader_nodes(original) if node.type == "TEX_IES" and node.mode == "EXTERNAL"]
             paths = [node.filepath for node in nodes if node.filepath]

@@ -9,10 +9,12 @@ from __future__ import annotations
 import contextlib
 import errno
 import glob
+import operator
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import bpy
 
@@ -71,42 +73,83 @@ def cache_folder(blend: Path) -> Path:
     return blend.with_name(f"blendcache_{blend.stem}")
 
 
-def point_caches(item: bpy.types.Object) -> list[Any]:
-    """Of cloth, hair, particles and soft bodies."""
-    caches = [system.point_cache for system in item.particle_systems]
-    return [*caches, *(modifier.point_cache for modifier in item.modifiers if hasattr(modifier, "point_cache"))]
+def point_caches() -> Iterator[tuple[bpy.types.ID, Any]]:
+    """Of cloth, hair, particles, soft bodies, dynamic paint and rigid bodies, with the object or scene that has it."""
+    worlds = [(scene, scene.rigidbody_world) for scene in bpy.data.scenes]
+    yield from ((scene, world.point_cache) for scene, world in worlds if world is not None)
+    for item in bpy.data.objects:
+        canvases = [getattr(modifier, "canvas_settings", None) for modifier in item.modifiers]
+        surfaces = [surface for canvas in canvases if canvas is not None for surface in canvas.canvas_surfaces]
+        for owner in (*item.particle_systems, *item.modifiers, *surfaces):
+            if hasattr(owner, "point_cache"):
+                yield item, owner.point_cache
 
 
-def _own_caches() -> Iterator[tuple[bpy.types.Object, Any]]:
+class NodePath(NamedTuple):
+    """A string of geometry nodes that is a path, or the beginning of one that nodes join; how it is set."""
+
+    path: str
+    is_whole: bool
+    put: Callable[[str], None]
+
+
+def paths_of_nodes(tree: bpy.types.NodeTree) -> Iterator[NodePath]:
+    """Those that stand in a tree of geometry nodes; none of other trees."""
+    for node in tree.nodes if tree.bl_idname == "GeometryNodeTree" else ():
+        if node.bl_idname == "FunctionNodeInputString":
+            yield from _path(node.string, False, partial(setattr, node, "string"))
+        for socket in node.inputs:
+            if socket.bl_idname.startswith("NodeSocketString") and not socket.is_linked:
+                is_whole = socket.bl_idname.endswith("FilePath")
+                yield from _path(socket.default_value, is_whole, partial(setattr, socket, "default_value"))
+
+
+def paths_of_modifiers(item: bpy.types.Object) -> Iterator[NodePath]:
+    """Those that the geometry nodes of an object are given in its modifiers."""
+    for modifier in item.modifiers:
+        tree = modifier.node_group if modifier.type == "NODES" else None
+        for socket in tree.interface.items_tree if tree is not None else ():
+            value = modifier.get(socket.identifier) if socket.item_type == "SOCKET" else None
+            if isinstance(value, str):
+                is_whole = socket.subtype == "FILE_PATH"
+                yield from _path(value, is_whole, partial(operator.setitem, modifier, socket.identifier))
+
+
+def _path(text: str, is_whole: bool, put: Callable[[str], None]) -> Iterator[NodePath]:
+    if text.startswith("//") or Path(text).is_absolute():
+        yield NodePath(text, is_whole, put)
+
+
+def _own_caches() -> Iterator[tuple[bpy.types.ID, Any]]:
     """Those of a library's objects lie beside the library."""
-    for item in [item for item in bpy.data.objects if item.library is None]:
-        yield from ((item, cache) for cache in point_caches(item))
+    return ((owner, cache) for owner, cache in point_caches() if owner.library is None)
 
 
 def _baked_beside() -> Iterator[Path]:
     """What was baked to disk; no other caches, since Blender would write into files that the copy shares."""
-    for item, cache in _own_caches() if bpy.data.filepath else ():
+    for owner, cache in _own_caches() if bpy.data.filepath else ():
         if cache.use_disk_cache and cache.is_baked and not cache.use_external:
-            name = cache.name or item.name.encode().hex().upper()
+            name = cache.name or owner.name.encode().hex().upper()
             yield from cache_folder(Path(bpy.data.filepath)).glob(f"{glob.escape(name)}_*.bphys")
 
 
 @contextlib.contextmanager
 def _absolute_paths() -> Iterator[None]:
     """Make those relative paths absolute that Blender would leave as they are; put back at the end."""
-    found = [(cache, "filepath") for _, cache in _own_caches() if cache.use_external]
-    for item in [item for item in bpy.data.objects if item.library is None]:
-        for modifier in [modifier for modifier in item.modifiers if modifier.type == "NODES"]:
-            found += [(owner, "directory") for owner in modifier.bakes] + [(modifier, "bake_directory")]
-    for tree in [tree for tree in bpy.data.node_groups if tree.library is None]:
-        sockets = [socket for node in tree.nodes for socket in node.inputs]
-        found += [(socket, "default_value") for socket in sockets if socket.bl_idname.endswith("FilePath")]
-    before = [(owner, name, getattr(owner, name)) for owner, name in found if bpy.data.filepath]
-    turned = [(owner, name, path) for owner, name, path in before if path.startswith("//")]
+    kept: list[tuple[Any, str]] = [(cache, "filepath") for _, cache in _own_caches() if cache.use_external]
+    items = [item for item in bpy.data.objects if item.library is None]
+    for modifier in [modifier for item in items for modifier in item.modifiers if modifier.type == "NODES"]:
+        kept += [*((bake, "directory") for bake in modifier.bakes), (modifier, "bake_directory")]
+    found: list[tuple[str, Callable[[str], None]]]
+    found = [(getattr(owner, name), partial(setattr, owner, name)) for owner, name in kept]
+    trees = [tree for tree in bpy.data.node_groups if tree.library is None]
+    of_nodes = (*map(paths_of_nodes, trees), *map(paths_of_modifiers, items))
+    found += [(one.path, one.put) for paths in of_nodes for one in paths]
+    turned = [(path, put) for path, put in found if bpy.data.filepath and path.startswith("//")]
     try:
-        for owner, name, path in turned:
-            setattr(owner, name, bpy.path.abspath(path))
+        for path, put in turned:
+            put(bpy.path.abspath(path))
         yield
     finally:
-        for owner, name, path in turned:
-            setattr(owner, name, path)
+        for path, put in turned:
+            put(path)
