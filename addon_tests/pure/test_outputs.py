@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from xihe_blender.io.outputs import write_json
+from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.lab.batch.grid import planned_units
+from xihenet.io.whole_files import written_whole
 
 
 @pytest.mark.parametrize("n_refusals", [3, 99])
@@ -25,3 +27,12 @@ def test_a_file_that_is_read_just_then_is_written_a_moment_later(tmp_path, monke
     with contextlib.nullcontext() if n_refusals == 3 else pytest.raises(OSError, match=r"progress\.json"):
         write_json(path, {"done": 1})
     assert [file.name for file in tmp_path.iterdir()] == (["progress.json"] if n_refusals == 3 else [])
+
+
+def test_what_is_made_of_a_file_with_a_very_long_name_can_be_written(tmp_path):
+    scene = tmp_path / ("é" * 124 + ".blend")
+    scene.write_bytes(b"any")
+    with written_whole(RunOutputs(tmp_path, scene.stem).lit_blend) as beside:
+        beside.touch()
+    (tmp_path / planned_units([scene], (0,))[0][0].name).mkdir()
+    assert RunOutputs(tmp_path, "room").lit_blend.name == "room_lit.blend"

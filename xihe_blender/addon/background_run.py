@@ -30,7 +30,7 @@ from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import is_locked
 from xihe_blender.io.json_records import Parameters, as_json, read_record
-from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.io.outputs import RunOutputs, cut_stem, write_json
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.scene.blend_file import save_copy
 
@@ -206,7 +206,7 @@ class BackgroundRun:
 
 def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> BackgroundRun:
     """Save what a run of `scene` needs into `folder`; the run is not started yet. OSError if that cannot be written."""
-    copy, started = f"{Path(bpy.data.filepath).stem or 'untitled'}.blend", time.time()
+    copy, started = f"{cut_stem(Path(bpy.data.filepath).stem) or 'untitled'}.blend", time.time()
     with _no_file_previews():
         save_copy(scene, folder / copy)
     others = tuple(other.name for other in bpy.data.scenes if other != scene)

@@ -16,6 +16,7 @@ import bpy
 
 from xihe_blender.addon.preferences import folders_with_runs, runs_folder
 from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import cut_stem
 
 if TYPE_CHECKING:
     from xihe_blender.io.budget_results import BudgetResults
@@ -30,7 +31,7 @@ def new_run_folder(scene: bpy.types.Scene) -> Path:
     """
     parent = runs_folder()
     stem = Path(bpy.data.filepath).stem or "untitled"
-    name = f"{stem}_{time.strftime('%Y%m%d-%H%M%S')}"
+    name = f"{cut_stem(stem)}_{time.strftime('%Y%m%d-%H%M%S')}"
     try:
         parent.mkdir(parents=True, exist_ok=True)
         return _made_new(parent, name)

@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 MAX_STEM = 40
 """Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
 
+MAX_STEM_BYTES = 200
+"""Of a scene's file in the names of what is made of it."""
+
 
 def _at(*parts: str) -> functools.cached_property[Path]:
     return functools.cached_property(lambda outputs: outputs.folder.joinpath(*parts))
@@ -77,7 +80,7 @@ class RunOutputs:
 
     @property
     def lit_blend(self) -> Path:
-        return self.folder / f"{self.scene}_lit.blend"
+        return self.folder / f"{cut_stem(self.scene)}_lit.blend"
 
     def probe(self, index: int, name: str, frame: int) -> Path:
         """Radiance panorama of the light probe at one estimation position, the `index`-th of the run."""
@@ -106,6 +109,12 @@ class RunOutputs:
     def relative(self, path: Path) -> str:
         """`path` as results.json names it: relative to the run's folder, with forward slashes."""
         return path.relative_to(self.folder).as_posix()
+
+
+def cut_stem(stem: str) -> str:
+    """As much of a file's stem as leaves room for what is added to it: no file name has more than 255 bytes."""
+    encoded = os.fsencode(stem)
+    return stem if len(encoded) <= MAX_STEM_BYTES else encoded[:MAX_STEM_BYTES].decode(errors="ignore")
 
 
 def _file_stem(name: str) -> str:

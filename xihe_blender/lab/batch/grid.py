@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import cut_stem
 from xihenet import estimators
 from xihenet.estimators import Target
 from xihenet.light import LightParts
@@ -74,7 +75,7 @@ class Unit:
     @property
     def name(self) -> str:
         """Of its folder, and in what is said of it."""
-        return f"{self.scene.stem}_{self.digest[:8]}_seed{self.seed}"
+        return f"{cut_stem(self.scene.stem)}_{self.digest[:8]}_seed{self.seed}"
 
 
 def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Unit], dict[str, str]]:
