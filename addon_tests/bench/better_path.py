@@ -13,6 +13,7 @@ objects that there was advice for.
 from __future__ import annotations
 
 import argparse
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -66,10 +67,10 @@ def tried(path: Path, options: argparse.Namespace) -> dict[str, list[ObjectAdvic
     settings = PrevisSettings(preset="draft", size=options.size, frames=part, seed=options.seed)
     looks = LookSettings(largest_turn_deg=options.turn, most_frames=options.tried)
     wishes = LookWishes(is_verified=True, n_random=options.random, looks=looks)
-    with scene_kept():
+    with contextlib.ExitStack() as held, scene_kept():
         objects = object_positions(scene, settings, None)
         out = options.out / f"{path.stem}_{len(part)}"
-        captured = run_blocking(capture_path(scene, out, settings, "look", blend_file=path))
+        captured = run_blocking(capture_path(scene, out, settings, "look", held, blend_file=path))
         found = {}
         for target in ("hdr", "ldr"):
             of_one = of_target(captured, target)

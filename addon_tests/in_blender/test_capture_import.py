@@ -1,5 +1,6 @@
 """A phone's recording in a Blender file: what it becomes there, and the light that comes of it."""
 
+import contextlib
 import json
 import re
 import sys
@@ -609,8 +610,9 @@ def moved_empty(scene):
 
 def test_what_renders_a_room_refuses_a_recording(tmp_path):
     scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
-    with pytest.raises(UserError, match="cannot be rendered from elsewhere"):
-        run_blocking(capture_path(scene, tmp_path / "out", PrevisSettings(), "a map", blend_file=tmp_path / "a.blend"))
+    with contextlib.ExitStack() as held, pytest.raises(UserError, match="cannot be rendered from elsewhere"):
+        file = tmp_path / "a.blend"
+        run_blocking(capture_path(scene, tmp_path / "out", PrevisSettings(), "a map", held, blend_file=file))
     with pytest.raises(UserError, match="`truth` is rendered"):
         run_blocking(previs(scene, tmp_path / "out", PrevisSettings(estimator="truth")))
 

@@ -19,7 +19,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms import render_room
-from xihe_blender.lab.rooms.build import LEFT_BEHIND_S, build_dataset, missing_rooms, write_manifest
+from xihe_blender.lab.rooms.build import LEFT_BEHIND_S, build_dataset, missing_rooms, rooms_held
 from xihe_blender.lab.rooms.build_room import build_room
 from xihe_blender.lab.rooms.contact_sheet import contact_sheet
 from xihe_blender.lab.rooms.render_room import make_room
@@ -286,7 +286,8 @@ def test_what_a_killed_worker_left_is_cleared_and_what_one_is_writing_is_not(tmp
         path.touch()
     long_ago = time.time() - LEFT_BEHIND_S - 1
     os.utime(left, (long_ago, long_ago))
-    write_manifest(tmp_path, small_build(3).provenance)
+    with rooms_held(tmp_path, small_build(3).provenance):
+        pass
     assert written.exists() and not left.exists()
 
 

@@ -14,7 +14,7 @@ from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.capture.scanner import meter_exposure, phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.rooms.build import build_dataset, write_manifest
+from xihe_blender.lab.rooms.build import build_dataset, rooms_held
 from xihe_blender.lab.rooms.outline import Rect
 from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.room_data import Piece
@@ -163,7 +163,8 @@ def test_a_build_of_walks_in_one_split_makes_these_alone(walked_folder, walk):
 def test_folders_without_a_walk_go_on_as_free_views_and_are_written_so(tmp_path):
     (tmp_path / "dataset.json").write_text(json.dumps(FREE_VIEWS))
     for folder in (tmp_path, tmp_path / "new"):
-        write_manifest(folder, small_build(3).provenance)
+        with rooms_held(folder, small_build(3).provenance):
+            pass
         written = json.loads((folder / "dataset.json").read_text())
         assert list(written) == list(FREE_VIEWS) and {**written, "software": FREE_VIEWS["software"]} == FREE_VIEWS
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from xihe_blender.errors import UserError
 from xihe_blender.io import folder_manifest
-from xihe_blender.io.folder_manifest import END_BYTES, FolderManifest, contents_sha256, differences
+from xihe_blender.io.folder_manifest import END_BYTES, FolderManifest, contents_sha256, differences, take_lock
 
 MADE_WITH = {"xihe": "1.0", "settings": {"seed": 0, "size": (32, 24)}, "frames": (1, 2)}
 VALUES = st.one_of(st.integers(), st.none(), st.text(max_size=3), st.lists(st.integers(), max_size=2))
@@ -34,7 +34,18 @@ def test_a_folder_is_held_by_one_at_a_time(tmp_path):
     with manifest_in(tmp_path).held(), refused, manifest_in(tmp_path).held():
         pass
     with manifest_in(tmp_path).held():
-        pass
+        assert manifest_in(tmp_path).is_held
+    assert not manifest_in(tmp_path).is_held
+
+
+def test_of_two_who_come_at_once_the_second_writes_nothing(tmp_path):
+    manifest = manifest_in(tmp_path)
+    manifest.file.parent.mkdir()
+    with manifest.file.with_name("held").open("ab") as lock:
+        assert take_lock(lock)
+        with pytest.raises(UserError, match="is under way"), manifest.held():
+            pass
+    assert not manifest.file.exists()
 
 
 @pytest.mark.parametrize(

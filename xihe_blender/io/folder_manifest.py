@@ -64,21 +64,38 @@ class FolderManifest:
         try:
             write_json(self.file, self.provenance)
         except OSError as error:
-            raise UserError(
-                f"cannot write to {self.folder} ({error.strerror}): choose another folder for --out"
-            ) from error
+            raise self._cannot_write(error) from error
         return False
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Take it, and keep others from the same work in it during the block; UserError where somebody is at it."""
-        self.take()
-        with self.file.with_name(HELD).open("ab") as lock:
+        """Take it, and keep all others from work in it during the block; UserError as of `take`, or where one is at it.
+
+        All who work in a folder do so within this. Of two who come at once the first takes it and the other is refused.
+        """
+        self.check()
+        with contextlib.closing(self._opened_lock()) as lock:
             if not take_lock(lock):
                 raise UserError(
                     f"{self.what} is under way in {self.folder}: wait for its end, or choose another folder for --out"
                 )
+            self.take()
             yield
+
+    @property
+    def is_held(self) -> bool:
+        """Whether somebody is at work in the folder."""
+        return is_locked(self.file.with_name(HELD))
+
+    def _opened_lock(self) -> IO[bytes]:
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            return self.file.with_name(HELD).open("ab")
+        except OSError as error:
+            raise self._cannot_write(error) from error
+
+    def _cannot_write(self, error: OSError) -> UserError:
+        return UserError(f"cannot write to {self.folder} ({error.strerror}): choose another folder for --out")
 
     def _check_is_the_same(self) -> None:
         try:

@@ -6,6 +6,7 @@ request the advised look, random ones and a light probe at the object are render
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import itertools
@@ -94,24 +95,24 @@ def better_path(
     an estimator that cannot look at a whole path.
     """
     check_sees_whole_path(settings)
-    with scene_kept():
+    with contextlib.ExitStack() as held, scene_kept():
         objects = {} if wishes.is_for_map else object_positions(scene, settings, wishes.objects)
-        captured = yield from capture_path(scene, out, settings, "a better path", blend_file=blend_file)
+        captured = yield from capture_path(scene, out, settings, "a better path", held, blend_file=blend_file)
         if wishes.is_for_map:
             places_m, _ = yield from find_places(captured.session, PlacementSettings(most=MAP_PLACES))
             objects = {THE_MAP: list(places_m)}
         found = yield from find_looks(captured.session, objects, wishes.looks)
         if wishes.is_verified:
             found = yield from verify_looks(captured, found, wishes)
-    results = LookResults(
-        **said_of_path(captured.run, blend_file, command, asdict(wishes.looks)),
-        objects=tuple(one.advice for one in found),
-    )
-    yield Progress(1, 1, "writing the report")
-    above = write_above(out, [one.seen for one in captured.session.frames], results)
-    write_look_report(out / "report.html", results, above)
-    write_json(out / "look.json", as_json(results))
-    return results
+        results = LookResults(
+            **said_of_path(captured.run, blend_file, command, asdict(wishes.looks)),
+            objects=tuple(one.advice for one in found),
+        )
+        yield Progress(1, 1, "writing the report")
+        above = write_above(out, [one.seen for one in captured.session.frames], results)
+        write_look_report(out / "report.html", results, above)
+        write_json(out / "look.json", as_json(results))
+        return results
 
 
 def check_sees_whole_path(settings: PrevisSettings) -> None:

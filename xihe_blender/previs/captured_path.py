@@ -6,6 +6,7 @@ folder and taken up again there, for the same scene and settings, whatever is as
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -78,10 +79,12 @@ def path_plan(scene: bpy.types.Scene, settings: PrevisSettings) -> tuple[PrevisS
 
 
 def capture_path(
-    scene: bpy.types.Scene, out: Path, settings: PrevisSettings, work: str, *, blend_file: Path
-) -> Job[CapturedPath]:
+    scene: bpy.types.Scene, out: Path, settings: PrevisSettings, work: str, held: contextlib.ExitStack, *,
+    blend_file: Path,
+) -> Job[CapturedPath]:  # fmt: skip
     """A job: capture the path of `scene` in the folder `out`, which then is of this kind of `work` alone.
 
+    Nobody else can work in the folder until `held` is closed.
     Renders change animated values in the scene: see `scene_kept`. UserError for a scene without a camera.
     """
     settings, plan = path_plan(scene, settings)
@@ -90,7 +93,7 @@ def capture_path(
     manifest = FolderManifest(out, outputs.settings, work, content, (out / "report.html",))
     manifest.check()
     survey = survey_run(scene, plan, outputs)
-    manifest.take()
+    held.enter_context(manifest.held())
     run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
     yield from walk_path(run, keeps_session=True)
     session = yield from kept_session(outputs, run.settings, run.exposure, sorted(run.needs.captured))

@@ -132,20 +132,19 @@ def error_budget(
     survey = survey_run(scene, plan, outputs)
     if not any(one.in_view for one in survey.frames.values()):
         raise UserError("no virtual object is in view of the camera in any frame: move the camera, or an object")
-    manifest.take()
-    with scene_kept():
+    with manifest.held(), scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
         measured = []
         for number in range(n_seeds):
             job = _with_one_seed(with_seed(run, number), n_moments)
             measured.append((yield from part_of(n_seeds, number, 1, job)))
-    results = BudgetResults(
-        **said_of_path(run, file, command, {"moments": n_moments, "seeds": n_seeds}),
-        objects=tuple(_of_object(run, item.name, measured) for item in run.plan.objects),
-    )
-    write_budget_report(out / "report.html", results)
-    write_json(out / "budget.json", as_json(results))
-    return results
+        results = BudgetResults(
+            **said_of_path(run, file, command, {"moments": n_moments, "seeds": n_seeds}),
+            objects=tuple(_of_object(run, item.name, measured) for item in run.plan.objects),
+        )
+        write_budget_report(out / "report.html", results)
+        write_json(out / "budget.json", as_json(results))
+        return results
 
 
 def _of_object(run: PreparedRun, name: str, measured: Sequence[_Measured]) -> ObjectBudget:

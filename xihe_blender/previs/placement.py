@@ -6,6 +6,7 @@ is rendered (`kept_session`). What cannot be known so, the true error, is measur
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 from collections.abc import Sequence
@@ -92,25 +93,25 @@ def placement(
 
     The captures are kept there and resumed. UserError for a scene without a camera, or where nothing is to be placed.
     """
-    with scene_kept():
-        captured = yield from capture_path(scene, out, settings, "a placement map", blend_file=blend_file)
+    with contextlib.ExitStack() as held, scene_kept():
+        captured = yield from capture_path(scene, out, settings, "a placement map", held, blend_file=blend_file)
         run, session = captured.run, captured.session
         mapped = yield from map_places(session, wanted)
         places, verified = yield from _verified(run, mapped, wanted.n_verified)
-    results = PlacementResults(
-        **said_of_path(captured.run, blend_file, command, asdict(wanted)),
-        spacing_m=mapped.spacing_m,
-        clearance_m=wanted.clearance_m if wanted.height_m is None else None,
-        n_unknown=sum(place.expected_error is None for place in places),
-        places=places,
-        verified=verified,
-    )
-    yield Progress(1, 1, "writing the report")
-    pictures = write_pictures(out, [one.seen for one in session.frames], results)
-    write_placement_report(out / "report.html", results, pictures)
-    write_csv(out / "placement.csv", [_row(place) for place in results.places], list(_row(results.places[0])))
-    write_json(out / "placement.json", as_json(results))
-    return results
+        results = PlacementResults(
+            **said_of_path(captured.run, blend_file, command, asdict(wanted)),
+            spacing_m=mapped.spacing_m,
+            clearance_m=wanted.clearance_m if wanted.height_m is None else None,
+            n_unknown=sum(place.expected_error is None for place in places),
+            places=places,
+            verified=verified,
+        )
+        yield Progress(1, 1, "writing the report")
+        pictures = write_pictures(out, [one.seen for one in session.frames], results)
+        write_placement_report(out / "report.html", results, pictures)
+        write_csv(out / "placement.csv", [_row(place) for place in results.places], list(_row(results.places[0])))
+        write_json(out / "placement.json", as_json(results))
+        return results
 
 
 def _row(place: Place) -> dict[str, Any]:

@@ -83,8 +83,7 @@ def record_session(
     manifest = _manifest(scene, outputs, settings, plan, wishes.layout, blend_file)
     manifest.check()
     survey = survey_run(scene, plan, outputs)
-    manifest.take()
-    with scene_kept():
+    with manifest.held(), scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, ())
         yield from render_captures(run)
         yield Progress(1, 1, "writing the recording")
@@ -92,10 +91,10 @@ def record_session(
         if places:
             yield from _measure_truth(run, places, out, command)
             said.append(f"the true light at {format_count(len(places), 'place')} in {TRUTH_FILE}")
-    if wishes.layout == OURS:
-        # Last: it says that the recording is whole.
-        write_session(out, replace(kept_facts(run), files=()))
-    return said
+        if wishes.layout == OURS:
+            # Last: it says that the recording is whole.
+            write_session(out, replace(kept_facts(run), files=()))
+        return said
 
 
 def check_recording(scene: bpy.types.Scene, out: Path, settings: PrevisSettings, *, blend_file: Path) -> None:

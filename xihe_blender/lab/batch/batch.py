@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -39,24 +40,27 @@ def evaluate_batch(
     check_settings(settings, seeds)
     measured = read_frontier(frontier, folder)
     kept = BatchFolder(folder.resolve())
-    kept.forget_what_made_nothing()
     manifest = kept.manifest(settings)
+    if not manifest.is_held:
+        kept.forget_what_made_nothing()
     manifest.check()
     units, failed = planned_units(scenes, seeds)
     missing = [unit for unit in units if kept.result(unit) is None]
-    if missing:
-        with open_dask_workers(None if n_workers is None else min(n_workers, len(missing)), scheduler) as workers:
-            manifest.take()
-            workers.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
-            yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(workers)}")
-            yield from workers.run(_work(kept, settings, missing), "unit")
-            names = {unit.name: f"{unit.scene} (seed {unit.seed})" for unit in units}
-            failed |= {names[name]: reason for name, reason in workers.failed.items()}
-    manifest.take()
-    results = batch_results(kept, settings, units, failed)
-    kept.write_tables(results)
-    write_document(kept.path / "report.html", report_page(kept, results, measured))
-    return results, sum(kept.result(unit) is not None for unit in missing)
+    with contextlib.ExitStack() as held:
+        if missing:
+            with open_dask_workers(None if n_workers is None else min(n_workers, len(missing)), scheduler) as workers:
+                held.enter_context(manifest.held())
+                workers.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
+                yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(workers)}")
+                yield from workers.run(_work(kept, settings, missing), "unit")
+                names = {unit.name: f"{unit.scene} (seed {unit.seed})" for unit in units}
+                failed |= {names[name]: reason for name, reason in workers.failed.items()}
+        else:
+            held.enter_context(manifest.held())
+        results = batch_results(kept, settings, units, failed)
+        kept.write_tables(results)
+        write_document(kept.path / "report.html", report_page(kept, results, measured))
+        return results, sum(kept.result(unit) is not None for unit in missing)
 
 
 def _work(kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -> list[Work]:

@@ -110,8 +110,12 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         "weights": weights_sha256({choice.estimator for choice in compute_choices(is_quick=False)}, "ldr"),
     }
     results = (out / "frontier.json",)
-    FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).take()
-    kept = []
+    with FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).held():
+        return (yield from _measured(files, out, settings, command))
+
+
+def _measured(files: Sequence[Path], out: Path, settings: FrontierSettings, command: str) -> Job[Frontier]:
+    names, kept = [file.stem for file in files], []
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
         job = part_of(len(files), number, 1, measure_scene(file, path.parent, settings), file.stem)

@@ -120,19 +120,20 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list
     for file in files if needs_rooms else ():
         check_session(file, outputs.session(file.stem), walk, settings.seed)
     decides = {"xihe": __version__, "scenes": hashes, "settings": {"quick": settings.quick, "seed": settings.seed}}
-    FolderManifest(out, out / "settings.json", "an evaluation of the paper", decides, (outputs.report,)).take()
-    sessions = []
-    for number, file in enumerate(files if needs_rooms else ()):
-        job = recorded_session(file, outputs.session(file.stem), walk, settings.seed)
-        share = SHARE_OF_RECORDING / len(files)
-        sessions.append((yield from part_of(1, number * share, share, job, file.stem)))
-    inputs = study_inputs(decides, walk)
-    yield from measure_studies(chosen, sessions, outputs, settings, inputs)
-    kept = {study.name: kept_result(outputs, study, inputs) for study in all_studies()}
-    results = [one for one in kept.values() if one is not None]
-    write_document(outputs.report, report_page(all_studies(), results, outputs.pictures, command))
-    if settings.document is not None:
-        write_document(settings.document, paper_markdown(all_studies(), results, command))
+    manifest = FolderManifest(out, out / "settings.json", "an evaluation of the paper", decides, (outputs.report,))
+    with manifest.held():
+        sessions = []
+        for number, file in enumerate(files if needs_rooms else ()):
+            job = recorded_session(file, outputs.session(file.stem), walk, settings.seed)
+            share = SHARE_OF_RECORDING / len(files)
+            sessions.append((yield from part_of(1, number * share, share, job, file.stem)))
+        inputs = study_inputs(decides, walk)
+        yield from measure_studies(chosen, sessions, outputs, settings, inputs)
+        kept = {study.name: kept_result(outputs, study, inputs) for study in all_studies()}
+        results = [one for one in kept.values() if one is not None]
+        write_document(outputs.report, report_page(all_studies(), results, outputs.pictures, command))
+        if settings.document is not None:
+            write_document(settings.document, paper_markdown(all_studies(), results, command))
     yield Progress(1, 1, "measured and written")
     return results
 

@@ -43,19 +43,19 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
 
     UserError if the folder holds another data set or a damaged room or cannot be written, or a worker fails.
     """
-    write_manifest(folder, settings.provenance)
-    wanted = settings.wanted()
-    for index in stored_indices(folder):
-        # Its end is missing; what else is wrong with it is found where it is read whole.
-        if not zipfile.is_zipfile(room_path(folder, index)):
-            raise UserError(f"{room_path(folder, index)} is damaged: delete it and build again")
-    missing = missing_rooms(folder, wanted)
-    make = _in_processes if settings.scheduler is None else _over_dask
-    yield from make(folder, settings, missing)
-    left = missing_rooms(folder, wanted)
-    if left:
-        raise UserError(f"{len(left)} rooms were not made, the first is {left[0]}: run the same command again")
-    return len(missing)
+    with rooms_held(folder, settings.provenance):
+        wanted = settings.wanted()
+        for index in stored_indices(folder):
+            # Its end is missing; what else is wrong with it is found where it is read whole.
+            if not zipfile.is_zipfile(room_path(folder, index)):
+                raise UserError(f"{room_path(folder, index)} is damaged: delete it and build again")
+        missing = missing_rooms(folder, wanted)
+        make = _in_processes if settings.scheduler is None else _over_dask
+        yield from make(folder, settings, missing)
+        left = missing_rooms(folder, wanted)
+        if left:
+            raise UserError(f"{len(left)} rooms were not made, the first is {left[0]}: run the same command again")
+        return len(missing)
 
 
 def _in_processes(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
@@ -91,16 +91,19 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
         raise UserError(f"a worker ended: {reason}; run the same command again to resume")
 
 
-def write_manifest(folder: Path, provenance: dict[str, Any]) -> None:
-    """Write what the data set is made with, or check that it is what is there; clear what killed workers left.
+@contextlib.contextmanager
+def rooms_held(folder: Path, provenance: dict[str, Any]) -> Iterator[None]:
+    """`FolderManifest.held` of a data set that is made with `provenance`; clears what killed workers left.
 
-    What was written a moment ago may be a worker's of another build that goes on.
+    What was written a moment ago may be a worker's of a build that was killed itself.
     """
-    FolderManifest(folder, folder / MANIFEST, "rooms", {**provenance, NOT_COMPARED: f"xihe {__version__}"}).take()
-    for part in folder.glob(".room_*.npz"):
-        with contextlib.suppress(FileNotFoundError):
-            if time.time() - part.stat().st_mtime > LEFT_BEHIND_S:
-                part.unlink()
+    made_with = {**provenance, NOT_COMPARED: f"xihe {__version__}"}
+    with FolderManifest(folder, folder / MANIFEST, "a build of rooms", made_with).held():
+        for part in folder.glob(".room_*.npz"):
+            with contextlib.suppress(FileNotFoundError):
+                if time.time() - part.stat().st_mtime > LEFT_BEHIND_S:
+                    part.unlink()
+        yield
 
 
 def missing_rooms(folder: Path, wanted: Iterable[int]) -> list[int]:

@@ -20,7 +20,7 @@ from xihe_blender.capture.scanner import meter_exposure, open_scanner, phone_cam
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.lab.rooms import store
-from xihe_blender.lab.rooms.build import write_manifest
+from xihe_blender.lab.rooms.build import rooms_held
 from xihe_blender.lab.rooms.render_room import Picture, reference_lights, stored_room, take_picture
 from xihe_blender.lab.rooms.settings import RoomRenderSettings
 from xihe_blender.lab.rooms.views import RoomRays
@@ -64,9 +64,8 @@ def add_scene(
     size = sized_for(scene, settings.view).size
     positions_m = scene_positions(scene, chosen, at)
     shared = {"render": settings.numbers, "noise_target": settings.noise_target, "metering": store.METERING}
-    write_manifest(folder, {"format": store.FORMAT_VERSION, "scenes": True, **shared})
     total = len(chosen) + len(positions_m) + 1
-    with scene_kept():
+    with rooms_held(folder, {"format": store.FORMAT_VERSION, "scenes": True, **shared}), scene_kept():
         yield Progress(0, total, "metering")
         exposure = meter_exposure(scene, chosen, metering=store.METERING)
         _check_can_be_stored(scene, exposure)
@@ -81,7 +80,7 @@ def add_scene(
             yield Progress(len(pictures) + len(lights), total, f"{len(lights)} of {len(positions_m)} positions")
         room = stored_room(pictures, exposure, positions_m, np.stack(is_unhidden), lights,
                            seed=(SCENE_SEED, zlib.crc32(name.encode())), kind=name, regime=SCENE_REGIME)  # fmt: skip
-        path = store.room_path(folder, _place_for(folder, name))  # Only now: others may have added theirs meanwhile.
+        path = store.room_path(folder, _place_for(folder, name))
         store.save_room(path, room)
     yield Progress(total, total, f"{path.name} written")
     return path
