@@ -83,7 +83,7 @@ def test_a_unit_that_a_scheduler_finished_meanwhile_is_not_made_again(tmp_path, 
     write_json(result_file(tmp_path), as_json(whole[0]))
     (tmp_path / "work").mkdir()
     write_result(tmp_path / "gone.blend", SEED, tmp_path, SMALL, io.StringIO())
-    assert read_result(tmp_path) == whole[0] and (tmp_path / "work").is_dir()
+    assert read_result(tmp_path, tmp_path / "gone.blend") == whole[0] and (tmp_path / "work").is_dir()
 
 
 @pytest.mark.slow

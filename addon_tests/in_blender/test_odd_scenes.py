@@ -32,7 +32,7 @@ from xihe_blender.io.folder_manifest import matching
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.scene import add_scene
 from xihe_blender.lab.rooms.settings import RoomRenderSettings
-from xihe_blender.previs.files_read import files_read
+from xihe_blender.previs.files_read import files_named, files_read
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.scene_faults import faults_at_frame, layer_faults, timing_faults, unseen_faults
@@ -231,7 +231,8 @@ def test_all_files_that_a_render_reads_are_known_and_no_others(tmp_path):
     for number, (name, is_sequence) in enumerate([("fog.vdb", False), ("smoke_7.vdb", True)]):
         volume = bpy.data.volumes.new(f"Volume {number}")
         volume.filepath, volume.is_sequence = f"//{name}", is_sequence
-    assert set(files_read()) == here("film.v2.[0-9]*.jp2", "clip[[]1].mp4", "fog.vdb", "smoke_[0-9]*.vdb")
+    named = {"film.v2.[0-9]*.jp2", "clip[[]1].mp4", "fog.vdb", "smoke_[0-9]*.vdb"}
+    assert set(files_read()) == here(*named) and set(files_named()) == named
 
     lamp = bpy.data.lights.new("Lamp", "POINT")
     tree, _ = nodes_of(lamp)
@@ -307,6 +308,7 @@ def test_a_cache_of_a_linked_object_lies_beside_its_library(tmp_path):
     bpy.context.scene.collection.objects.link(wanted.objects[0])
     read = {path.resolve() for pattern in files_read() for path in matching(pattern)}
     assert kept and read == {*kept, library}
+    assert set(files_named()) == {"../library.blend", "../blendcache_library/*.bphys"}
 
 
 def test_what_the_first_view_layer_leaves_out_is_named():

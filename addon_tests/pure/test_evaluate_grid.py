@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import fields, replace
+from importlib import resources
 from types import SimpleNamespace
 
 import pytest
@@ -153,9 +154,44 @@ def test_a_unit_is_not_done_any_more_where_a_file_that_its_scene_reads_has_chang
     cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
     done = UnitResult(trials=(), step_ms=(), render_s=0, cost=cost, read=read)
     write_json(result_file(tmp_path), as_json(done))
-    assert read_result(tmp_path) == done
+    scene = tmp_path / "room.blend"
+    assert read_result(tmp_path, scene) == done
     (tmp_path / "fog.vdb").write_bytes(b"and more")
-    assert read_result(tmp_path) is None
+    assert read_result(tmp_path, scene) is None
+
+
+def test_a_batch_that_was_moved_with_its_scenes_and_phones_has_all_units_and_names(tmp_path):
+    def in_folder(folder):
+        scenes = [folder / "day" / "room.blend", folder / "night" / "room.blend"]
+        phones = ("perfect", str(folder / "cheap.toml"))
+        settings = replace(SETTINGS, estimators=("lattice",), phones=phones)
+        return BatchFolder(folder / "out"), planned_units(scenes, (0, 1))[0], settings
+
+    before, after = tmp_path / "before", tmp_path / "after"
+    for time in ("day", "night"):
+        (before / time).mkdir(parents=True)
+        (before / time / "room.blend").write_bytes(b"the same")
+        (before / time / "sky.exr").write_bytes(time.encode())
+    profile = resources.files("xihenet.phone") / "profiles" / "ipad_pro_lidar.toml"
+    (before / "cheap.toml").write_text(profile.read_text().replace("ipad_pro_lidar", "cheap"))
+    folder, units, settings = in_folder(before)
+    folder.manifest(settings).take()
+    cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
+    for unit in units:
+        read = FilesRead(patterns=("sky.exr",), sha256=contents_sha256([str(unit.scene.with_name("sky.exr"))]))
+        trials = tuple(
+            TrialFigures(**{part.name: getattr(trial(phone=phone), part.name) for part in fields(TrialFigures)})
+            for phone in settings.phones
+        )
+        done = UnitResult(trials=trials, step_ms=(None, None), render_s=0, cost=cost, read=read)
+        write_json(result_file(folder.of_unit(unit)), as_json(done))
+    found = batch_results(folder, settings, units, {})
+    assert len(found.units) == 4 and {one.phone for one in found.trials} == {"perfect", "cheap"}
+    before.rename(after)
+    folder, units, settings = in_folder(after)
+    assert folder.manifest(settings).take() and batch_results(folder, settings, units, {}) == found
+    (after / "night" / "sky.exr").write_bytes(b"day")
+    assert len(batch_results(folder, settings, units, {}).units) == 2
 
 
 def test_scenes_of_one_name_are_told_apart_by_their_folders(tmp_path):

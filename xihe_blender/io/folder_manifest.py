@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import glob
 import hashlib
 import json
 import os
@@ -198,6 +199,11 @@ def _ends_digest(path: Path, size: int, mtime_ns: int) -> bytes:
         file.seek(-END_BYTES, os.SEEK_END)
         digest.update(file.read(END_BYTES))
     return digest.digest()
+
+
+def absolute_pattern(pattern: str, folder: Path) -> str:
+    """A pattern of `glob` that may be relative to `folder`."""
+    return str(Path(glob.escape(str(folder)), pattern))
 
 
 def matching(pattern: str) -> list[Path]:

@@ -19,6 +19,7 @@ from typing import Any
 import bpy
 
 from xihe_blender.apply.datablocks import PREFIX
+from xihe_blender.io.folder_manifest import absolute_pattern
 from xihe_blender.scene.blend_file import NodePath, cache_folder, paths_of_modifiers, paths_of_nodes, point_caches
 
 LOOKED_AT_IN = (
@@ -33,11 +34,20 @@ POINTS = "*.bphys"
 
 def files_read() -> list[str]:
     """Absolute patterns, sorted: of single files, all tiles of a picture, all frames of a sequence, all in a folder."""
+    return sorted(absolute_pattern(pattern, blend_folder()) for pattern in files_named())
+
+
+def files_named() -> list[str]:
+    """The same, but relative to the folder of the open .blend where the scene names them so: it may be moved."""
     return sorted({*_blocks(), *_nodes(), *_caches()})
 
 
+def blend_folder() -> Path:
+    return Path(bpy.data.filepath).parent
+
+
 def file_of(block: Any) -> str | None:
-    """The pattern of what an image, film, volume, font, library or cache of moving meshes is read from.
+    """What an image, film, volume, font, library or cache of moving meshes is read from: a pattern as of `files_named`.
 
     None for one that is within the .blend.
     """
@@ -111,9 +121,9 @@ def _caches() -> Iterator[str]:
         library = owner.library if cache.use_library_path else None
         file = bpy.path.basename(bpy.data.filepath if library is None else library.filepath)
         beside = f"//{cache_folder(Path(file)).name}" if cache.use_disk_cache and cache.is_baked else ""
-        folder = bpy.path.abspath(cache.filepath if cache.use_external else beside, library=library)
+        folder = cache.filepath if cache.use_external else beside
         if folder:
-            yield str(Path(pattern_of(owner, folder), POINTS))
+            yield str(Path(_pattern(folder, library), POINTS))
 
 
 class _AnyModifier:
@@ -131,11 +141,22 @@ def _below(owner: bpy.types.ID, folder: str) -> str:
 
 
 def pattern_of(owner: bpy.types.ID, path: str, *, is_sequence: bool = False) -> str:
-    """The pattern of what Blender reads at `path` for `owner`, whose library a relative path starts from."""
-    absolute = Path(bpy.path.abspath(path, library=owner.library))
-    name = glob.escape(absolute.name).replace("<UDIM>", 4 * "[0-9]").replace("<UVTILE>", "u*_v*")
+    """The pattern, as of `files_named`, of what Blender reads at `path` for `owner`."""
+    return _pattern(path, owner.library, is_sequence=is_sequence)
+
+
+def _pattern(path: str, library: bpy.types.Library | None, *, is_sequence: bool = False) -> str:
+    named = _from_blend(path, library)
+    name = glob.escape(named.name).replace("<UDIM>", 4 * "[0-9]").replace("<UVTILE>", "u*_v*")
     if is_sequence:
         # The last number before the suffix, as Blender counts.
         stem, dot, suffix = name.rpartition(".")
         name = re.sub(r"\d+(?=\D*$)", "[0-9]*", stem or suffix, count=1) + (f"{dot}{suffix}" if stem else "")
-    return str(Path(glob.escape(str(absolute.parent)), name))
+    return str(Path(glob.escape(str(named.parent)), name))
+
+
+def _from_blend(path: str, library: bpy.types.Library | None) -> Path:
+    """`path`, which starts from its library if it is relative, from the folder of the open .blend."""
+    if not path.startswith("//"):
+        return Path(path)
+    return (Path() if library is None else _from_blend(library.filepath, None).parent) / path[2:]

@@ -19,10 +19,10 @@ import numpy as np
 from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.apply.lit_scene import seen_in
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_manifest import matching
+from xihe_blender.io.folder_manifest import absolute_pattern, matching
 from xihe_blender.io.run_results import Fault
 from xihe_blender.light_transport.animation import is_animated, is_film
-from xihe_blender.previs.files_read import file_of, pattern_of
+from xihe_blender.previs.files_read import blend_folder, file_of, pattern_of
 from xihe_blender.scene.blend_file import paths_of_modifiers, paths_of_nodes
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import remembered_capture
@@ -106,7 +106,7 @@ def _missing_files(blocks: Iterable[bpy.types.ID]) -> Iterator[Fault]:
             paths = [node.filepath for node in nodes if node.filepath]
             files = [(pattern_of(original, path), path, NO_IES) for path in paths]
         for pattern, path, does in files:
-            if pattern is not None and not any(matching(pattern)):
+            if pattern is not None and not any(matching(absolute_pattern(pattern, blend_folder()))):
                 said = f"The file of {block.name!r}, {path}, is not there: Cycles {does}. "
                 yield Fault(name=block.name, n=1, said=said + FIND_IT)
 

@@ -52,7 +52,7 @@ def write_result(scene: Path, seed: int, folder: Path, settings: BatchSettings, 
     def tell(progress: Progress, _elapsed_s: float) -> None:
         print(f"{progress.done / progress.total:.4f}", file=shares, flush=True)
 
-    if read_result(folder) is not None:
+    if read_result(folder, scene) is not None:
         return
     result_file(folder).unlink(missing_ok=True)  # One that is damaged: should this one fail, nobody reads it again.
     done = run_blocking(evaluate_unit(scene, folder, settings, seed), tell)

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,6 +50,11 @@ class BatchSettings:
             if not names or len(set(names)) < len(names):
                 raise UserError(f"{option} {','.join(names)}: give each name once, with commas between them")
 
+    def named(self) -> BatchSettings:
+        """The same with the phones' names in place of their files, which may be moved."""
+        names = short_names(map(Path, self.phones))
+        return replace(self, phones=tuple(names[Path(phone)] for phone in self.phones))
+
     def trials(self) -> list[tuple[str, str]]:
         """(phone, estimator) of every trial of a unit, in the order in which results list them."""
         return [(phone, estimator) for phone in self.phones for estimator in self.estimators]
@@ -66,7 +71,7 @@ class BatchSettings:
 
 @dataclass(frozen=True)
 class Unit:
-    """One .blend, whose content and folder have this digest, with one seed."""
+    """One .blend, whose content has this digest, with one seed."""
 
     scene: Path
     seed: int
@@ -80,20 +85,33 @@ class Unit:
 
 def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Unit], dict[str, str]]:
     """Every scene with every seed, each once, and by name what is wrong with files that cannot be read."""
-    units: dict[str, Unit] = {}
+    units: list[Unit] = []
     broken: dict[str, str] = {}
+    contents: dict[Path, bytes] = {}
     for scene in scenes:
         try:
-            # With its folder: a copy beside other pictures may show another room.
-            content = hashlib.sha256(scene.read_bytes()).digest()
-            digest = hashlib.sha256(content + os.fsencode(scene.resolve().parent)).hexdigest()
+            contents[scene.resolve()] = hashlib.sha256(scene.read_bytes()).digest()
         except OSError as error:
             broken[str(scene)] = error.strerror or str(error)
-            continue
-        for seed in seeds:
-            unit = Unit(scene.resolve(), seed, digest)
-            units.setdefault(unit.name, unit)
-    return list(units.values()), broken
+    for scene, content in contents.items():
+        # A copy of it beside other pictures may show another room: then with as many folders as tell them apart, which
+        # stay what they are where all is moved.
+        copies = [other for other in contents if (other.name, contents[other]) == (scene.name, content)]
+        digest = hashlib.sha256(content + os.fsencode(short_names(copies)[scene])).hexdigest()
+        units += [Unit(scene, seed, digest) for seed in seeds]
+    return units, broken
+
+
+def short_names(files: Iterable[Path]) -> dict[Path, str]:
+    """The stem of each file, after as many of its folders as tell it from another with the same stem."""
+    paths = {file: file.with_suffix("").parts for file in files}
+    names = {}
+    for file, parts in paths.items():
+        others = [other for path, other in paths.items() if path != file]
+        n_parts = (n for n in range(1, len(parts)) if all(other[-n:] != parts[-n:] for other in others))
+        n = next(n_parts, None)
+        names[file] = str(file) if n is None else "/".join(parts[-n:])
+    return names
 
 
 def check_settings(settings: BatchSettings, seeds: Sequence[int]) -> None:

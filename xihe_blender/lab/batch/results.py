@@ -15,18 +15,18 @@ docs/batch.schema.json is made from the records (`python -m xihe_blender.lab.bat
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256
+from xihe_blender.io.folder_manifest import FolderManifest, absolute_pattern, contents_sha256
 from xihe_blender.io.json_records import Json, Plain, as_json, from_json, json_schema
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.run_results import Metrics
-from xihe_blender.lab.batch.grid import FORMAT_VERSION, BatchSettings, Unit
+from xihe_blender.lab.batch.grid import FORMAT_VERSION, BatchSettings, Unit, short_names
 from xihe_blender.lab.frontier.records import Frontier
 from xihe_blender.lab.workers.dask_workers import blender_version
 from xihenet import __version__
@@ -105,7 +105,9 @@ class UnitCost:
 class FilesRead:
     """What a scene reads besides its .blend: libraries, images, volumes, caches."""
 
-    patterns: Annotated[tuple[str, ...], "of their paths, as Python's glob reads them"] = ()
+    patterns: Annotated[
+        tuple[str, ...], "of their paths, as Python's glob reads them; relative where the .blend names them so"
+    ] = ()
     sha256: Annotated[str | None, "of their names and contents; None where there is none"] = None
 
 
@@ -200,10 +202,11 @@ def result_file(unit_folder: Path) -> Path:
     return unit_folder / "result.json"
 
 
-def read_result(unit_folder: Path) -> UnitResult | None:
-    """What a unit came to; None if it is not done or damaged, or if what its scene reads is not what it was."""
+def read_result(unit_folder: Path, scene: Path) -> UnitResult | None:
+    """What a unit of `scene` came to; None if it is not done or damaged, or if what that reads is not what it was."""
     found = kept_json(result_file(unit_folder), lambda content: from_json(UnitResult, content))
-    is_current = found is not None and contents_sha256(found.read.patterns) == found.read.sha256
+    patterns = [] if found is None else [absolute_pattern(one, scene.parent) for one in found.read.patterns]
+    is_current = found is not None and contents_sha256(patterns) == found.read.sha256
     return found if is_current else None
 
 
@@ -229,18 +232,19 @@ class BatchFolder:
 
     def result(self, unit: Unit) -> UnitResult | None:
         """As `read_result`."""
-        return read_result(self.of_unit(unit))
+        return read_result(self.of_unit(unit), unit.scene)
 
     def manifest(self, settings: BatchSettings) -> FolderManifest:
         """That the folder is for such a batch. Scenes and seeds may be others."""
-        phones = {name: from_json(PhoneUsed, as_json(load_profile(name))) for name in settings.phones}
+        named = settings.named()
+        profiles = [from_json(PhoneUsed, as_json(load_profile(phone))) for phone in settings.phones]
         weights = weights_sha256(settings.estimators, settings.target)
         content = BatchManifest(
             format=FORMAT_VERSION,
             xihe=__version__,
             blender=blender_version(),
-            settings=settings,
-            profiles=phones,
+            settings=named,
+            profiles=dict(zip(named.phones, profiles, strict=True)),
             weights=weights,
         )
         results = (self.path / "results.json",)
@@ -271,15 +275,14 @@ def batch_results(
 ) -> BatchResults:
     """Everything that is done, in the order in which it was asked for."""
     trials, rows = list[Trial](), list[UnitRow]()
-    names = _short_names({unit.scene for unit in units})
-    phones = _short_names({Path(phone) for phone in settings.phones})
+    names, settings = short_names({unit.scene for unit in units}), settings.named()
     for unit in units:
         result = folder.result(unit)
         if result is not None:
             name = vars(UnitName(unit=unit.name, scene=names[unit.scene], seed=unit.seed))
+            phones = dict(zip(dict.fromkeys(one.phone for one in result.trials), settings.phones, strict=False))
             for number, one in enumerate(result.trials):
-                phone = phones.get(Path(one.phone), one.phone)
-                trials.append(Trial(number=number, **name, **(vars(one) | {"phone": phone})))
+                trials.append(Trial(number=number, **name, **(vars(one) | {"phone": phones[one.phone]})))
             rows.append(UnitRow(render_s=result.render_s, step_ms=result.step_ms, **name, **vars(result.cost)))
     return BatchResults(
         software={"xihe": __version__} | ({} if (blender := blender_version()) is None else {"blender": blender}),
@@ -288,18 +291,6 @@ def batch_results(
         units=tuple(rows),
         failed=tuple(Failure(what=what, reason=reason) for what, reason in failed.items()),
     )
-
-
-def _short_names(files: Iterable[Path]) -> dict[Path, str]:
-    """The stem of each file, after as many of its folders as tell it from another with the same stem."""
-    paths = {file: file.with_suffix("").parts for file in files}
-    names = {}
-    for file, parts in paths.items():
-        others = [other for path, other in paths.items() if path != file]
-        n_parts = (n for n in range(1, len(parts)) if all(other[-n:] != parts[-n:] for other in others))
-        n = next(n_parts, None)
-        names[file] = str(file) if n is None else "/".join(parts[-n:])
-    return names
 
 
 def read_frontier(given: Path | None, folder: Path) -> Frontier | None:

@@ -49,7 +49,7 @@ from xihe_blender.lab.batch.results import (
     worst_picture,
 )
 from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths, surfaces_known
-from xihe_blender.previs.files_read import files_read
+from xihe_blender.previs.files_read import files_named, files_read
 from xihe_blender.previs.path_renders import render_path
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
@@ -116,8 +116,7 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
 
 def _begun_with(outputs: RunOutputs) -> FilesRead:
     """What the open file reads from others; renders that a stopped unit made from anything else go."""
-    patterns = files_read()
-    read = FilesRead(patterns=tuple(patterns), sha256=contents_sha256(patterns))
+    read = FilesRead(patterns=tuple(files_named()), sha256=contents_sha256(files_read()))
     if kept_json(outputs.settings, functools.partial(from_json, FilesRead)) != read:
         shutil.rmtree(outputs.folder, ignore_errors=True)
     return read
