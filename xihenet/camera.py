@@ -33,6 +33,7 @@ from xihenet.records import (
 )
 from xihenet.records import Intrinsics as Intrinsics
 
+DEFAULT_SIZE = 256, 192  # Of captures in pixels, as a phone's LiDAR sensor delivers depth
 MISS_PLANE_DEPTH_M = 1e9  # At and beyond this a plane depth is a miss: Cycles writes 1e10 where no surface was hit
 NEGLIGIBLE_M = 1e-6  # What rounding a camera's place to float32 costs stays below it within 16 m of the origin
 BEHIND = 1.1  # A point at so many times the depth of what is seen there lies behind it: sensors err by less

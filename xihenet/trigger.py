@@ -112,6 +112,13 @@ class TriggerSettings:
         if not 0 <= self.ignored_share < 1:
             raise ValueError(f"TriggerSettings.ignored_share: expected 0 to below 1, got {self.ignored_share}")
 
+    def scaled(self, factor: float) -> TriggerSettings:
+        """With all thresholds times `factor`, 0 or more; with 0 it fires at any change."""
+        coverage_theta = min(1.0, factor * self.coverage_theta)
+        return replace(
+            self, theta=factor * self.theta, coverage_theta=coverage_theta, light_theta=factor * self.light_theta
+        )
+
 
 Rule = Literal["split", "light", "reference", "every-frame"]
 

@@ -337,6 +337,7 @@ MISTAKES = {
         "--estimator oracle": "choose one of",
         "--preset hasty": "draft, balanced, accurate",
         "--target sdr": "ldr",
+        "--trigger never": "split ... every-frame",
         "--exposure -1": "positive",
         "--metering spot": "highlights, key",
         "--exposure nan": "positive",

@@ -15,9 +15,10 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.blender_process import write_result
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.results import FilesRead, read_result, result_file
-from xihe_blender.lab.batch.unit import evaluate_unit
+from xihe_blender.lab.batch.unit import FACTORS, evaluate_unit
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.io.json_files import read_json
+from xihenet.trigger import RULES
 
 pytestmark = pytest.mark.usefixtures("small_light_probes")
 SMALL = BatchSettings(
@@ -30,6 +31,11 @@ SMALL = BatchSettings(
 )
 
 SEED = 1
+
+
+def test_every_rule_of_a_run_can_be_a_batchs():
+    for rule, trigger in RULES.items():
+        assert replace(SMALL, trigger=rule).of_trial("perfect", "projection", SEED).trigger == trigger
 
 
 @pytest.fixture(scope="module")
@@ -113,3 +119,17 @@ def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(whole):
     assert truth.thetas == () and truth.frames[0].shc_rmse == 0
     rates = [one.per_minute for one in estimated.thetas]
     assert rates == sorted(rates, reverse=True) and rates[0] > rates[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rule", "n_thetas", "theta", "fires"),
+    [("every-frame", 1, 0.0, True), ("light", len(FACTORS), RULES["light"].light_theta, False)],
+)
+def test_trials_have_the_trigger_that_was_asked_for(tmp_path, file, rule, n_thetas, theta, fires):
+    settings = replace(SMALL, trigger=rule, estimators=("projection",), phones=("perfect",), light="sh")
+    (trial,) = run_blocking(evaluate_unit(file, tmp_path, settings, SEED)).trials
+    (own,) = (one for one in trial.thetas if one.factor == 1)
+    assert (len(trial.thetas), own.theta) == (n_thetas, theta)
+    assert all(frame.n_fired for frame in trial.frames) == fires
+    assert own.per_minute == trial.estimates_per_minute

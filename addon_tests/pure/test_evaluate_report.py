@@ -87,6 +87,18 @@ def test_how_often_is_answered_where_the_ambient_light_is_best():
     assert answers.how_often([best]).startswith("No estimator that looks at the room")
 
 
+def test_a_rule_without_thresholds_says_what_every_frame_gives_and_how_to_hear_of_others():
+    (own,) = (one for one in trial().thetas if one.factor == 1)
+    words = answers.how_often([trial(thetas=(own,))])
+    assert "an estimate in every frame is 30 times a minute" in words and "Leave --trigger out" in words
+
+
+def test_the_page_says_how_it_was_made(tmp_path):
+    made = part(report_page(BatchFolder(tmp_path), results(batch()), None), "made")
+    assert "<span>256x192, or upright where the scene is</span>" in made
+    assert '<code>--trigger</code></th><td data-column="value"><span>split</span>' in made
+
+
 def test_thetas_that_differ_from_scene_to_scene_are_told_from_least_to_greatest():
     quiet = trial("room", estimator="lattice")
     noisy = replace(

@@ -1,5 +1,7 @@
 """When the trigger fires, and what it says about it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -187,3 +189,14 @@ def test_the_change_in_colour_is_what_the_decision_says(seed):
     before, after = random_cloud(rng, N, 0.9), random_cloud(rng, N, 0.9)
     settings_ = TriggerSettings(theta=1.0, ignored_share=0.25, coverage_theta=1.0)
     assert colour_change(before, after, LATTICE, settings_) == decide_trigger(before, after, LATTICE, settings_).change
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_all_thresholds_of_a_rule_are_scaled_and_nothing_else(rule):
+    own = RULES[rule]
+    scaled = own.scaled(64.0)
+    assert scaled.light_theta == 64 * own.light_theta and scaled.theta == 64 * own.theta
+    assert scaled.coverage_theta == min(1, 64 * own.coverage_theta)
+    assert own.scaled(1.0) == own
+    assert {own.scaled(0.0).theta, own.scaled(0.0).light_theta, own.scaled(0.0).coverage_theta} == {0}
+    assert replace(scaled, **{name: getattr(own, name) for name in ("theta", "coverage_theta", "light_theta")}) == own

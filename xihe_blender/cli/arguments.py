@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 from xihenet import estimators
+from xihenet.camera import DEFAULT_SIZE
 from xihenet.io.frame_files import BLENDER_FROM_UP
 from xihenet.phone import LINKS, profile_names
 
@@ -138,6 +139,6 @@ NETWORK = f"{one_of(LINKS)}: estimates arrive late; default: at once"
 PHONES = one_of([*profile_names(), "your own file"])
 SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
 SCENE = "scene with an animated camera"
-SIZE = "size of captured pictures; default: 256x192, or 192x256 if the scene is upright"
+SIZE = "size of captured pictures; default: {0}x{1}, or {1}x{0} if the scene is upright".format(*DEFAULT_SIZE)
 UP = "axis of the recording's world that points up; default: as is usual for it"
 TARGET = "light to estimate and to compare with: all of it (hdr, the default) or clipped at white (ldr)"

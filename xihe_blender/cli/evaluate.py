@@ -12,6 +12,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.lab.batch.grid import DEFAULT_ESTIMATORS, BatchSettings
 from xihenet.formats import format_count
 from xihenet.phone import load_profile, profile_names
+from xihenet.trigger import RULES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")
     add("--light PARTS", arguments.LIGHT + "; default: sh", default="sh")
     add("--samples N", samples, int)
+    add("--trigger", arguments.TRIGGER + "; default: split", choices=tuple(RULES), default="split")
     add("--network NAME", arguments.NETWORK)
     add("--workers N", "processes on this machine, one thread each; default: one per core", int)
     add("--scheduler ADDRESS", "Dask scheduler whose workers do the work, such as tcp://host:8786")

@@ -9,6 +9,7 @@ from typing import Any
 from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
+from xihenet.trigger import RULES
 
 CAPTURED = "frames that are rendered: the whole path (default), or only those with a virtual object in view"
 NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--light PARTS", arguments.LIGHT + AUTO, default="auto")
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--between-estimates carried|kept", arguments.BETWEEN, default="carried")
-    add("--trigger split|light|reference|every-frame", arguments.TRIGGER + "; default: split", default="split")
+    add("--trigger", arguments.TRIGGER + "; default: split", choices=tuple(RULES), default="split")
     add("--network NAME", arguments.NETWORK)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
     add_one = arguments.adder(parser.add_mutually_exclusive_group())
@@ -43,7 +44,6 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     from xihe_blender.previs.previs import previs
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.blend_file import open_blend
-    from xihenet.trigger import RULES
 
     choices = {"trigger": RULES[options.trigger], "effect_choices": parsed_overrides(options.overrides)}
     settings = arguments.settings_from(options, PrevisSettings, **choices)

@@ -24,11 +24,9 @@ from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
 from xihenet import __version__
-from xihenet.camera import Intrinsics
+from xihenet.camera import DEFAULT_SIZE, Intrinsics
 from xihenet.formats import as_spelled, format_names
 from xihenet.records import ArrayF64
-
-DEFAULT_SIZE = (256, 192)
 
 
 @dataclass(frozen=True, eq=False)

@@ -281,6 +281,11 @@ def how_often(trials: Sequence[Trial]) -> str:
         f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of {own_error}; "
         f"an estimate in every frame is {_rate(always)}, for {format_number(always.error)}. "
     )
+    if len(points) == 1:
+        return (
+            f"With {code(best)}, an estimate in every frame is {_rate(own)} per position in view, for an error of "
+            f"{own_error}. Leave --trigger out to hear of others."
+        )
     limit = f"within {format_number(100 * AS_GOOD, 1)} % of that"
     if least.factor == 0:
         return words + f"No lazier trigger stays {limit}."

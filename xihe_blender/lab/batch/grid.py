@@ -20,11 +20,12 @@ from xihe_blender.io.outputs import cut_stem
 from xihenet import estimators
 from xihenet.estimators import Target
 from xihenet.light import LightParts
+from xihenet.trigger import Rule
 
 if TYPE_CHECKING:
     from xihe_blender.previs.settings import PrevisSettings
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 DEFAULT_ESTIMATORS = ("lattice", "projection", "ambient", "truth")
 NAMES = "names, at least one of each, none twice; every phone runs with every estimator"
 AS_IN_A_RUN = "as in PrevisSettings"
@@ -43,6 +44,7 @@ class BatchSettings:
     frames: Annotated[tuple[int, ...] | None, AS_IN_A_RUN] = None
     noise_target: Annotated[float | None, AS_IN_A_RUN] = None
     samples: Annotated[int | None, AS_IN_A_RUN] = None
+    trigger: Annotated[Rule, "its name"] = "split"
     network: Annotated[str | None, AS_IN_A_RUN] = None
 
     def __post_init__(self) -> None:
@@ -62,11 +64,12 @@ class BatchSettings:
     def of_trial(self, phone: str, estimator: str, seed: int) -> PrevisSettings:
         """The settings that `xihe previs` would have; UserError, in its words, where they make no sense."""
         # Workers know of units, and must not load Blender: it does not work beside the thread that they work in.
-        from xihe_blender.previs.settings import PrevisSettings
+        from xihe_blender.previs.settings import settings_of
 
         shared = {name: value for name, value in vars(self).items() if name not in ("estimators", "phones")}
         # Frames without an object in view have no numbers, and cost as much as the others.
-        return PrevisSettings(estimator=estimator, phone=phone, seed=seed, captured="in-view", **shared)
+        own = {"estimator": estimator, "phone": phone, "seed": seed, "captured": "in-view"}
+        return settings_of(shared | own)
 
 
 @dataclass(frozen=True)

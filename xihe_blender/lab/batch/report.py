@@ -21,6 +21,7 @@ from xihe_blender.lab.frontier.records import Frontier, FrontierPoint
 from xihe_blender.lab.frontier.report import LAB_STYLE
 from xihe_blender.report.document import block, document, png_url, table
 from xihe_blender.report.values import code, escape, mean
+from xihenet.camera import DEFAULT_SIZE
 from xihenet.formats import (
     MINUS,
     format_bytes,
@@ -266,13 +267,15 @@ def _picture(path: Path) -> str:
 def _how_made(results: BatchResults) -> str:
     """What all trials share, by the names of the command's options, and the versions."""
     chosen = results.settings
+    size = "x".join(map(str, chosen.size or DEFAULT_SIZE))
     rows = [
         ("--preset", chosen.preset),
         ("--target", chosen.target),
         ("--light", chosen.light),
-        ("--size", "256x192, of upright scenes 192x256" if chosen.size is None else "{}x{}".format(*chosen.size)),
+        ("--size", size if chosen.size is not None else f"{size}, or upright where the scene is"),
         ("--frames", "all of each scene's" if chosen.frames is None else format_runs(chosen.frames)),
         ("--samples", "as many as the preset's noise target needs" if chosen.samples is None else str(chosen.samples)),
+        ("--trigger", chosen.trigger),
         ("--network", "none: estimates arrive at once" if chosen.network is None else chosen.network),
         ("--seeds", ", ".join(map(str, answers.names_of(results.trials, "seed")))),
         *((f"version of {name}", version) for name, version in results.software.items()),

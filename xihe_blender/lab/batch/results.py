@@ -59,8 +59,8 @@ class TrialFrame(Metrics, ChainFrame):
 class TriggerFigures:
     """What a more or less eager trigger would have done on the same captures."""
 
-    factor: Annotated[float, "of both thresholds"]
-    theta: Annotated[float, "the threshold for colour, then"]
+    factor: Annotated[float, "of all thresholds"]
+    theta: Annotated[float, "the threshold for colour or, of the rule `light`, for the light, then"]
     coverage_theta: Annotated[float, "the threshold for coverage, then"]
     per_minute: Annotated[float | None, "estimates for a position in view"]
     shc_rmse: Annotated[float, "mean error"]

@@ -8,9 +8,10 @@ comparison: a view layer per virtual object costs little beside the path-traced 
 Pictures are kept of the worst frame of each trial only: a batch would otherwise leave gigabytes that nobody looks at.
 A frame's numbers are written once all of its pictures are, so a stopped unit goes on.
 
-The trigger is swept over the captures that are there: both of its thresholds are scaled by one factor, from 0, which
-estimates in every frame, to 64. Nothing is rendered for that, so the sweep has no pictures. No figure of a trial tells
-the time or the machine: the same batch gives the same bytes, whoever computes it.
+The trigger is swept over the captures that are there: all of its thresholds are scaled by one factor, from 0, which
+estimates in every frame, to 64. One that has none, with "every-frame", stays alone. Nothing is rendered for that, so
+the sweep has no pictures. No figure of a trial tells the time or the machine: the same batch gives the same bytes,
+whoever computes it.
 """
 
 from __future__ import annotations
@@ -271,12 +272,13 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
     if run.settings.estimator in WITHOUT_ANCHORS or not active:
         return []
     own, link = run.settings.trigger, walked.phone.link_in_use
-    triggers = [replace(own, theta=f * own.theta, coverage_theta=min(1.0, f * own.coverage_theta)) for f in FACTORS]
+    factors = FACTORS if own.theta or own.coverage_theta else (1.0,)
+    triggers = [own.scaled(factor) for factor in factors]
     chain, seed = replace(run.settings, light="sh").chain(run.exposure), run.settings.seed
     chains = [replace(chain, trigger=trigger) for trigger in triggers]
     sessions = [PhoneSession(run.plan.probes, one, run.estimator, link, seed=seed) for one in chains]
-    errors: list[list[float]] = [[] for _ in FACTORS]
-    n_fired = [0] * len(FACTORS)
+    errors: list[list[float]] = [[] for _ in factors]
+    n_fired = [0] * len(factors)
     for entry in [entry for entry in walked.frames if entry.captured]:
         seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
         truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
@@ -287,10 +289,10 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
     return [
         TriggerFigures(
             factor=factor,
-            theta=trigger.theta,
+            theta=trigger.light_theta if trigger.policy == "light" else trigger.theta,
             coverage_theta=trigger.coverage_theta,
             per_minute=estimates_per_minute(walked, fired),
             shc_rmse=statistics.fmean(of_one),
         )
-        for factor, trigger, fired, of_one in zip(FACTORS, triggers, n_fired, errors, strict=True)
+        for factor, trigger, fired, of_one in zip(factors, triggers, n_fired, errors, strict=True)
     ]
