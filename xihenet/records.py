@@ -25,7 +25,7 @@ ArrayU8 = NDArray[np.uint8]
 ArrayBool = NDArray[np.bool_]
 ArrayInt = NDArray[np.intp]
 
-LAST_ROW_TOLERANCE = 1e-3  # Of a pose, as poses are written with four digits
+POSE_TOLERANCE = 1e-3  # As poses are written with four digits
 
 TriggerReason = Literal["first", "colour", "coverage", "light", "moved", "none"]
 
@@ -87,7 +87,7 @@ class RgbdFrame:
         the pixel light from far away, and NaN where the pixel's colour is not to be used either
     intrinsics : of both images
     world_from_camera : (4, 4) float64, row by row: its last row is 0 0 0 1, the last column says where the camera is,
-        and the first three are its axes, of length 1, which is not checked
+        and the first three are its axes, of length 1. They may mirror or shear, as those of cameras in Blender do
     exposure : factor that was applied to linear radiance before clipping and encoding, positive
     ambient : (3,) linear scene radiance that the ambient light sensor reports, or None without a sensor
     time_s : seconds since the start of the session, finite
@@ -117,9 +117,15 @@ class RgbdFrame:
         if not np.isfinite(self.world_from_camera).all():
             raise ValueError("RgbdFrame.world_from_camera: expected finite numbers, got NaN or infinity")
         last_row = self.world_from_camera[3]
-        if np.abs(last_row - [0, 0, 0, 1]).max() > LAST_ROW_TOLERANCE:
+        if np.abs(last_row - [0, 0, 0, 1]).max() > POSE_TOLERANCE:
             raise ValueError(
                 f"RgbdFrame.world_from_camera: expected the last row 0 0 0 1, got {last_row.tolist()}: transpose it?"
+            )
+        lengths = np.linalg.norm(self.world_from_camera[:3, :3], axis=0)
+        if not np.abs(lengths - 1).max() <= POSE_TOLERANCE:
+            raise ValueError(
+                "RgbdFrame.world_from_camera: expected axes, its first three columns, of length 1, got lengths of "
+                f"{', '.join(f'{one:.4g}' for one in lengths)}: divide them by these, and give the place in metres"
             )
         if not (np.isfinite(self.exposure) and self.exposure > 0):
             raise ValueError(f"RgbdFrame.exposure: expected a positive factor, got {self.exposure}")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.frame_makers import NEEDS_OPENEXR
+from addon_tests.pure.made import random_rotation
 from xihenet.colour import srgb_to_linear
 from xihenet.io.recording import ReplayScanner, SessionRecorder, load_frame, save_frame
 from xihenet.records import Intrinsics, RgbdFrame
@@ -23,7 +24,7 @@ def random_frame(seed, ambient=None):
         colours,
         depths,
         intrinsics,
-        np.vstack([rng.normal(size=(3, 4)), [0, 0, 0, 1]]),
+        np.vstack([np.column_stack([random_rotation(seed), rng.normal(size=3)]), [0, 0, 0, 1]]),
         0.3,
         ambient,
         1.5,
