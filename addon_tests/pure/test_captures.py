@@ -210,6 +210,15 @@ def test_colour_goes_with_the_depth_and_pose_next_to_it_in_time(tmp_path):
     assert any("2 frames without colour, depth or a pose" in note for note in capture.notes)
 
 
+def test_a_pose_between_two_is_as_near_to_either_whatever_the_lengths_of_their_quaternions(tmp_path):
+    as_tum(tmp_path, walk(LAYOUTS["TUM RGB-D"][1], 1))
+    time_s = float((tmp_path / "rgb.txt").read_text().splitlines()[-1].split()[0])
+    around = f"{time_s - 0.01} 0 0 0 0 0 0 1\n{time_s + 0.01} 0 0 0 0 0 10 10\n"  # A quarter turn about +Z
+    (tmp_path / "groundtruth.txt").write_text(around)
+    across = open_capture(tmp_path).frames[0].camera.world_from_camera[:3, 0]
+    np.testing.assert_allclose(across, [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-6)
+
+
 TEXTUAL = [name for name in LAYOUTS if not name.startswith("Record3D")]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from xihenet.captures.capture import Capture, inside, n_frames
 from xihenet.captures.reading.phone_frame import picture_frame
-from xihenet.captures.reading.values import numbers, pose_numbers, pose_of
+from xihenet.captures.reading.values import numbers, of_length_1, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
 from xihenet.io.json_files import read_json
 from xihenet.records import ArrayF64, Intrinsics
@@ -102,7 +102,7 @@ def _pose_at(time_s: float, pose_s: ArrayF64, values: ArrayF64) -> ArrayF64 | No
     around = [max(after - 1, 0), min(after, len(pose_s) - 1)]
     if np.abs(pose_s[around] - time_s).min() > AT_MOST_S:
         return None
-    first, second = values[around[0]], values[around[1]]
+    first, second = (np.concatenate([row[:3], of_length_1(row[3:])]) for row in values[around])
     span = pose_s[around[1]] - pose_s[around[0]]
     share = float(np.clip((time_s - pose_s[around[0]]) / span, 0, 1)) if span > 0 else 0.0
     if second[3:] @ first[3:] < 0:

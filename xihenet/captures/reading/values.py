@@ -51,12 +51,8 @@ def pose_of(place_m: ArrayF64, quaternion: ArrayF64) -> ArrayF64:
 
 
 def rotation_of(quaternion: ArrayF64) -> ArrayF64:
-    """(3, 3) of x, y, z, w of any length that is not about 0 or beyond measure; ValueError else."""
-    with np.errstate(over="ignore"):  # Numbers whose squares overflow have an infinite length, and are refused.
-        length = float(np.linalg.norm(quaternion))
-    if not SHORTEST < length < LONGEST:
-        raise ValueError(f"pose: expected a quaternion of length 1, got one of {length:.3g}")
-    x, y, z, w = quaternion / length
+    """(3, 3) of x, y, z, w, as of `of_length_1`."""
+    x, y, z, w = of_length_1(quaternion)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -64,6 +60,15 @@ def rotation_of(quaternion: ArrayF64) -> ArrayF64:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+def of_length_1(quaternion: ArrayF64) -> ArrayF64:
+    """(4,) of one of any length that is not about 0 or beyond measure; ValueError else."""
+    with np.errstate(over="ignore"):  # Numbers whose squares overflow have an infinite length, and are refused.
+        length = float(np.linalg.norm(quaternion))
+    if not SHORTEST < length < LONGEST:
+        raise ValueError(f"pose: expected a quaternion of length 1, got one of {length:.3g}")
+    return quaternion / length
 
 
 def quaternion_of(rotation: ArrayF64) -> ArrayF64:
