@@ -44,10 +44,10 @@ def right_requests(published, session, token):
         ("DELETE", room + "/positions/a", own, b""),
         *(("GET", path, {}, b"") for path in ("/", "/health", "/metrics", "/openapi.json")),
     ]
-    wishes = "?replace=no&share=yes&key_light=yes&reflections=yes"
+    wishes = ("replace=no", "share=yes", "key_light=yes", "reflections=yes")
     for number, method in enumerate(METHODS):
         seen = {"Content-Type": content_type_of(method), "Xihe-Exposure": "0.5", "Xihe-Position": "1,2,3"} | own
-        path = f"{room}/positions/{'ab'[number % 2]}{wishes[: 12 * number]}"
+        path = f"{room}/positions/{'ab'[number % 2]}?{'&'.join(wishes[:number])}"
         requests.append(("POST", path, seen, encode_cloud(cloud, method)))
     return requests
 

@@ -347,6 +347,21 @@ def test_health_metrics_page_and_openapi_are_there(server):
     assert {re.sub(r"\{\w+\}", "{}", path) for path in document["paths"]} == served
 
 
+def test_a_misspelt_name_in_the_query_or_among_the_headers_is_refused_and_changes_nothing(server):
+    session, token = server.opened(n_anchors=N)
+    place = f"/api/v3/sessions/{session}/positions/a"
+    for query, said in (("?keylight=yes", "'keylight'.*key_light"), ("?share", "share: expected yes or no")):
+        status, answer = server.light(session, token, b"", position="a", query=query)
+        assert status == 400 and re.search(said, answer["error"])
+    status, answer = server.light(session, token, b"", position="a", Xihe_Postion="0,1,0")
+    assert status == 400 and "Xihe-Postion: there is no such header; there are Xihe-Axes" in answer["error"]
+    for method, path in (("POST", "/api/v3/sessions?n_anchors=512"), ("DELETE", f"{place}?all=yes")):
+        status, answer, _ = server.ask(method, path, Xihe_Token=token)
+        assert status == 400 and "the query has no such name" in answer["error"]
+    assert server.ask("GET", f"/api/v3/sessions/{session}", Xihe_Token=token)[1]["positions"] == {}
+    assert server.ask("GET", "/health?from=monitor")[0] == 200
+
+
 @pytest.mark.parametrize("path", ["/", "/health", "/metrics", "/openapi.json"])
 def test_head_is_answered_as_get_without_the_body(server, path):
     # Load balancers and `curl -I` ask so whether a server is there.

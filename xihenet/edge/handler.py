@@ -95,6 +95,8 @@ class Handler:
     """One request and its answer. A route has a method for each of HTTP's that it knows, a coroutine where it waits."""
 
     needs_bearer = True
+    queries: Sequence[str] | None = None
+    """Names that the query may have; None for any, which monitors add, and which is not read."""
 
     def __init__(self, request: Request, site: Site, route: str) -> None:
         self.request, self.site, self.service, self.route = request, site, site.service, route
@@ -128,11 +130,22 @@ class Handler:
             if not secrets.compare_digest(sent.encode(), f"Bearer {bearer}".encode()):
                 self.headers["WWW-Authenticate"] = "Bearer"
                 raise Refused(401, "this service needs its bearer token: send it as Authorization: Bearer TOKEN")
+        self._check_names()
         if request.is_too_long:
             raise Refused(413, f"expected a body of at most {MAX_BODY_BYTES} bytes, got {request.n_bytes}")
         encoding = request.headers.get("Content-Encoding", "")
         if encoding and encoding.lower() != "identity":
             raise Refused(415, f"bodies are read as they come: leave out Content-Encoding, got {encoding[:80]!r}")
+
+    def _check_names(self) -> None:
+        """Refuse what nothing would read, which would be a misspelt name that counts for nothing."""
+        for name in self.request.headers:
+            if name.startswith("Xihe-") and name not in protocol.OUR_HEADERS:
+                raise Refused(400, f"{name[:80]}: there is no such header; there are {', '.join(protocol.OUR_HEADERS)}")
+        if self.queries is not None:
+            for name in self._query().keys() - set(self.queries):
+                there_are = ", ".join(self.queries) or "none here"
+                raise Refused(400, f"{name[:80]!r}: the query has no such name; there are {there_are}")
 
     def _method(self) -> Callable[..., Awaitable[None] | None]:
         name = METHODS.get(self.request.method, "")
@@ -201,11 +214,12 @@ class Handler:
     def token(self) -> str:
         return str(self.request.headers.get(protocol.TOKEN_HEADER, ""))
 
-    def query(self, name: str) -> str:
-        """What the query says of `name`; empty without it."""
-        if not self.request.query:
-            return ""
-        return parse_qs(self.request.query, keep_blank_values=True).get(name, [""])[-1]
+    def query(self, name: str, default: str) -> str:
+        """What the query says of `name`."""
+        return self._query().get(name, [default])[-1]
+
+    def _query(self) -> Mapping[str, Sequence[str]]:
+        return parse_qs(self.request.query, keep_blank_values=True) if self.request.query else {}
 
 
 class UnknownRoute(Handler):

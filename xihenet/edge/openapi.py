@@ -91,7 +91,7 @@ def openapi_document(sizes: tuple[int, ...], *, has_bearer: bool = False) -> dic
                 "delete": _of_token("Forget a position", [_SESSION, _POSITION]),
             },
             "/health": {
-                "get": _operation("That the service is there, with its store", [], 200, _object(estimator=_TEXT), ())
+                "get": _operation("That the service is there, with its store", [], 200, _object(estimator=_TEXT))
             },
         },
     }
@@ -110,9 +110,7 @@ def _published_session(sizes: tuple[int, ...]) -> dict[str, Any]:
 def _published_estimation() -> dict[str, Any]:
     session = _header("Session-ID", _UUID, "As opening gave it.", required=True)
     answer = {"type": "object", "required": ["ok", "coefficients"], "properties": {"coefficients": _COEFFICIENTS}}
-    operation = _operation(
-        "Light, of the published records", [session, _axes("unity")], 200, answer, (400, 404, 413, 415)
-    )
+    operation = _operation("Light, of the published records", [session, _axes("unity")], 200, answer, (404, 413, 415))
     return operation | {"requestBody": _binary("application/octet-stream", "Records of seven bytes.")}
 
 
@@ -129,7 +127,7 @@ def _open(sizes: tuple[int, ...]) -> dict[str, Any]:
     own = _header(
         protocol.TOKEN_HEADER, {"type": "string", "minLength": 16, "maxLength": 128}, "A token to own it by, or none."
     )
-    operation = _operation("Open a session", [own], 201, _OPENED, (400, 413, 415))
+    operation = _operation("Open a session", [own], 201, _OPENED, (413, 415))
     return operation | {"requestBody": {"content": {"application/json": {"schema": wanted}}}}
 
 
@@ -154,7 +152,7 @@ def _estimate() -> dict[str, Any]:
         _header(protocol.AMBIENT_HEADER, numbers, "Radiance of the light sensor, carrying the exposure."),
         _axes("z-up"),
     ]
-    refused = (400, 401, 403, 404, 409, 413, 415)
+    refused = (401, 403, 404, 409, 413, 415)
     operation = _operation("The light at a position, of a cloud", parameters, 200, _ESTIMATE, refused)
     words = f"A payload of xihenet.codec, in the method that the content type names: {', '.join(METHODS)}."
     return operation | {"requestBody": _binary(protocol.CLOUD_TYPE, words)}
@@ -170,10 +168,10 @@ def _operation(
     parameters: list[dict[str, Any]],
     status: int,
     answer: dict[str, Any],
-    refused: tuple[int, ...] = (400,),
+    refused: tuple[int, ...] = (),
 ) -> dict[str, Any]:
     responses = {str(status): {"description": "Done.", "content": {"application/json": {"schema": answer}}}}
-    for one in sorted({*refused, 503}):  # Any of them may need a store that does not answer.
+    for one in sorted({*refused, 400, 503}):  # Any may have a name that is not known, or no answer of the store.
         content = {"application/json": {"schema": _FAILURE}}
         responses[str(one)] = {"description": "Refused, and why.", "content": content}
     return {"summary": summary, "parameters": parameters, "responses": responses}

@@ -17,7 +17,7 @@ from xihenet.edge.service import EdgeService, Refused
 from xihenet.edge.sessions import Session, SessionFull, joined, new_session, new_token
 
 MAX_NAME = 64
-SWITCHES = {"": False, "no": False, "yes": True}
+SWITCHES = {"no": False, "yes": True}
 
 
 class PublishedSessionRoute(Handler):
@@ -55,6 +55,8 @@ class PublishedEstimationRoute(Handler):
 
 class SessionsRoute(Handler):
     """POST: a session of our own client. GET: those of the token's holder."""
+
+    queries = ()
 
     def post(self) -> None:
         with as_sent():
@@ -111,6 +113,8 @@ class SessionsRoute(Handler):
 class SessionRoute(Handler):
     """GET: what a session knows. DELETE: forget it."""
 
+    queries = ()
+
     def get(self, session_id: str) -> None:
         self.session_told = begin_of(session_id)
         session = self.service.session_for(session_id, self.token())
@@ -126,6 +130,8 @@ class SessionRoute(Handler):
 
 class ClientsRoute(Handler):
     """POST: join a session; who knows its id may, unless its owner forbids it."""
+
+    queries = ()
 
     def post(self, session_id: str) -> None:
         self.session_told = begin_of(session_id)
@@ -153,6 +159,8 @@ class ClientsRoute(Handler):
 class PositionRoute(Handler):
     """POST: the light at a position, of a cloud in the clean form. DELETE: forget the position."""
 
+    queries = ("replace", "share", "key_light", "reflections")
+
     async def post(self, session_id: str, name: str) -> None:
         self.session_told = begin_of(session_id)
         session = self.service.session_for(session_id, self.token(), is_fresh=False)
@@ -161,7 +169,7 @@ class PositionRoute(Handler):
             raise Refused(415, f"expected the content type {protocol.CLOUD_TYPE}, got {content_type[:80]!r}")
         self.service.check_room()
         with self.service.timed("decode"), as_sent():
-            wishes = Wishes(*map(self._switch, ("replace", "share", "key_light", "reflections")))
+            wishes = Wishes(*map(self._switch, self.queries))
             name = _checked_name(name)
             sent = protocol.read_clean(self.request.body, session.n_anchors, content_type, self.request.headers)
         self.tell(await self.service.estimate(session, name, sent, wishes))
@@ -174,7 +182,7 @@ class PositionRoute(Handler):
         self.tell({"ok": True})
 
     def _switch(self, name: str) -> bool:
-        said = self.query(name)
+        said = self.query(name, "no")
         if said not in SWITCHES:
             raise ValueError(f"{name}: expected yes or no, got {said[:80]!r}")
         return SWITCHES[said]
