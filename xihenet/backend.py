@@ -20,6 +20,8 @@ from xihenet.records import ArrayF64, LightEstimate, UnitSphereCloud
 class NoAnswer(ValueError):
     """A backend elsewhere did not answer in time, which says nothing of the cloud."""
 
+    reason = "no_answer"
+
 
 class LightBackend(Protocol):
     """The least that the controller can work with: a name, a number of anchors, and (9, 3) from a cloud."""
@@ -139,10 +141,8 @@ def _light(
     answer: Answer | NoAnswer | NotFinite | None,
 ) -> LightEstimate:
     sh_radiance, expected_error = np.zeros((9, 3)), None
-    if isinstance(answer, NoAnswer):
-        reason = "no_answer"
-    elif isinstance(answer, NotFinite):
-        reason = "estimate_not_finite"
+    if isinstance(answer, NoAnswer | NotFinite):
+        reason = answer.reason
     elif answer is not None:
         found, error = answer
         if np.isfinite(found).all() and (error is None or np.isfinite(error)):

@@ -22,7 +22,7 @@ from xihenet.backend import InferenceBackend, LocalBackend, NoAnswer, estimate_l
 from xihenet.camera import unproject_frame
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.edge import client
-from xihenet.edge.batching import Inference
+from xihenet.edge.batching import Inference, Light
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.edge.connection import EdgeRefused, Patience, PatientConnection, TryAgain
 from xihenet.edge.http_settings import ServerSettings
@@ -343,14 +343,33 @@ def test_nothing_seen_is_not_asked(server, backend_to):
         backend.estimate(UnitSphereCloud.empty(8))
 
 
-def test_the_ambient_estimator_knows_by_the_sensor_alone(backend_to):
-    with EdgeServer(inference=Inference("ambient")) as server:
+class Theirs(Inference):
+    """An estimator of somebody's own that knows as much as `ambient`, or nothing of what is less than half seen."""
+
+    def __init__(self):
+        super().__init__("ambient")
+        self.name = "theirs"
+
+    def estimator(self, n_anchors, target):
+        return estimators.load("ambient", n_anchors, target)
+
+    def __call__(self, jobs):
+        lights = zip(super().__call__(jobs), jobs, strict=True)
+        unknown = Light(np.zeros((9, 3)), None, "nothing_seen")
+        return [unknown if 0 < job.cloud.is_set.mean() < 0.5 else light for light, job in lights]
+
+
+def test_what_the_light_of_nothing_seen_is_the_servers_estimator_says(backend_to):
+    with EdgeServer(inference=Theirs()) as server:
         backend = backend_to(server)
         frame = frame_of(np.ones((2, 2)), exposure=0.5, ambient=[0.2, 0.3, 0.4])
         context, empty = EstimateContext(frame), UnitSphereCloud.empty(N)
         local = LocalBackend(estimators.load("ambient", N))
         here, there = (estimate_light(one, empty, context, 0.5) for one in (local, backend))
         assert here.is_valid and there.is_valid and np.allclose(here.sh_radiance, there.sh_radiance, atol=1e-9)
+        assert estimate_light(backend, empty, EstimateContext(), 1.0).unknown_because == "nothing_seen"
+        little = random_cloud(np.random.default_rng(0), N, 0.1)
+        assert estimate_light(backend, little, context, 0.5).unknown_because == "nothing_seen"
 
 
 # ------------------------------------------------------------------------------------------------------------ together

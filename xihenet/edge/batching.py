@@ -86,6 +86,11 @@ class Inference:
         # What cannot be loaded is found out at the start.
         estimator = self.estimator(1280, "ldr")
         self.farthest_m, self.is_quick = estimator.farthest_m, device == "cpu" and estimator.is_quick
+        nothing = UnitSphereCloud.empty(1280)
+        jobs = {"always": Job(nothing, "ldr"), "with_ambient": Job(nothing, "ldr", np.ones(3))}
+        known = [when for when, job in jobs.items() if not estimator.unknown_because(nothing, _context_of(job))]
+        self.knows_unseen = known[0] if known else "never"
+        """When it knows the light of a cloud without an anchor."""
 
     @functools.lru_cache(maxsize=32)  # noqa: B019  as many as there are sizes and targets, for as long as the process
     def estimator(self, n_anchors: int, target: Target) -> Estimator:

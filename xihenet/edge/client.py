@@ -78,7 +78,7 @@ class EdgeBackend:
         self.n_answered = self.n_opened = 0
         self.times_s: deque[float] = deque(maxlen=MOST_KEPT_TIMES)
         """Of the last answers, from the first try on."""
-        self.name, self.farthest_m = "", float("inf")
+        self.name, self.farthest_m, self._knows_unseen = "", float("inf"), "never"
         with self._lock:
             self.connection.persist(lambda: dict(self._open()))
 
@@ -141,9 +141,10 @@ class EdgeBackend:
         return None
 
     def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
-        """As the estimators say it, without asking the server."""
-        sensed = context.frame is not None and context.frame.ambient is not None and self.name == "ambient"
-        return "" if sensed or cloud.is_set.any() else "nothing_seen"
+        """As the server's estimator says it of a cloud without an anchor, without asking again."""
+        has_sensor = context.frame is not None and context.frame.ambient is not None
+        knows_unseen = self._knows_unseen == "always" or (self._knows_unseen == "with_ambient" and has_sensor)
+        return "" if knows_unseen or cloud.is_set.any() else "nothing_seen"
 
     def state(self) -> str:
         """How the server is, in words for a panel or a report."""
@@ -208,6 +209,7 @@ class EdgeBackend:
             )
         self.name = answer["estimator"]
         self.farthest_m = float("inf") if answer["farthest_m"] is None else float(answer["farthest_m"])
+        self._knows_unseen = answer.get("knows_unseen", "never")
         self._session = {"session": answer["session"], "token": answer["token"]}
         self.n_opened += 1
         return self._session
@@ -246,9 +248,10 @@ def backend_at(url: str, estimator: str, n_anchors: int, target: Target) -> Edge
 
 
 def _light_of(answer: dict[str, Any]) -> tuple[ArrayF64, float | None]:
-    """The light of an answer; NotFinite where it could not be known."""
+    """The light of an answer; NotFinite, with the server's reason, where it could not be known."""
     if not answer["is_valid"]:
-        raise NotFinite(f"the server could not know the light: {answer['unknown_because']}")
+        reason = answer["unknown_because"]
+        raise NotFinite(f"the server could not know the light: {reason}", reason)
     error = answer["expected_error"]
     return sh_from(answer["coefficients"], OUR_AXES), None if error is None else float(error)
 

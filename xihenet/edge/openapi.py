@@ -67,6 +67,10 @@ _OPENED = _object(
     target=_TARGET,
     estimator=_TEXT,
     farthest_m={"type": ["number", "null"], "description": "What lies beyond is taken to lie there."},
+    knows_unseen={
+        "enum": ["never", "with_ambient", "always"],
+        "description": "When the light of a cloud without an anchor is known.",
+    },
 )
 
 

@@ -73,6 +73,7 @@ class SessionsRoute(Handler):
                 "target": session.target,
                 "estimator": inference.name,
                 "farthest_m": inference.farthest_m if math.isfinite(inference.farthest_m) else None,
+                "knows_unseen": inference.knows_unseen,
             },
             201,
         )

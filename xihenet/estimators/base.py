@@ -13,6 +13,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xihenet.invalid import UNKNOWN
 from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 
 Target = Literal["ldr", "hdr"]
@@ -30,7 +31,11 @@ class EstimateContext:
 
 
 class NotFinite(ValueError):
-    """An estimator's result is not nine finite triples."""
+    """An estimator's result is not nine finite triples; `reason` of `xihenet.invalid.UNKNOWN` says why."""
+
+    def __init__(self, message: str, reason: str = "estimate_not_finite") -> None:
+        super().__init__(message)
+        self.reason = reason if reason in UNKNOWN else "estimate_not_finite"
 
 
 class Estimator(ABC):
