@@ -31,7 +31,10 @@ def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor
             return set_by_hand(_with_doubts(read(path, up)), scale=scale, floor_m=floor_m)
     if inside := _recordings_in(path):
         raise ValueError(f"{path} holds no recording itself: give {' or '.join(map(str, inside))}, which is one")
-    raise ValueError(f"{path} holds no recording that is known: expected one of {', '.join(READERS)}")
+    raise ValueError(
+        f"{path} holds no recording that is known: expected one of {', '.join(READERS)}. Make what others wrote a "
+        "plain folder: camera.json, colour/, depth/ and poses/, as docs/captures.md says"
+    )
 
 
 def _recordings_in(folder: Path) -> list[Path]:

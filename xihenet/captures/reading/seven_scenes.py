@@ -47,7 +47,10 @@ def read(folder: Path, up: str | None) -> Capture:
             raise ValueError(f"{path}: {error}") from error
         frames.append(picture_frame(number, (number - first) / FPS, camera, colour, plane_depth, 1e-3))
     if not frames:
-        raise ValueError(f"{folder}: no pose has both pictures beside it")
+        raise ValueError(
+            f"{folder}: no pose has both pictures, {stem}.color.png and {stem}.depth.png, beside it: copy all files, "
+            "or make a recording in another form a plain folder, as docs/captures.md says"
+        )
     notes = ["Depth is not registered to colour."]
     if n_without:
         notes.append(f"{n_frames(n_without)} without colour or depth left out.")
