@@ -134,6 +134,18 @@ def test_report_and_page_show_every_figure_beside_the_papers(tmp_path):
     assert "<svg" in page and "://" not in page
 
 
+def test_the_page_of_the_documentation_has_no_details_and_says_a_sentence_once():
+    def row(what, sentence, is_detail=False):
+        return Row(what, "ms", 1.0, 0.5, 1.5, 3, "same work", sentence, is_detail=is_detail)
+
+    rows = (row("all", "Alike. Of 95 % or more."), row("few", "Alike. Few."), row("curve", "Alike.", is_detail=True))
+    results = [paper.StudyResult("mean", "", "2021-06-24", 1.0, "one machine", rows)]
+    words = paper_markdown([STUDY], results, "xihe paper")
+    assert words.count("Alike.") == 1 and "- Few.\n" in words and "| curve |" not in words
+    assert "2 figures" in words and "`report.html` has 1 more" in words
+    assert "curve" in report_page([STUDY], results, lambda name: Path("nowhere"), "xihe paper")
+
+
 def test_studies_have_names_of_their_own_in_the_order_of_the_paper():
     names = [study.name for study in paper.all_studies()]
     assert len(set(names)) == len(names) > 0

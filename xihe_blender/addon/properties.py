@@ -220,7 +220,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     )
     trigger: bpy.props.EnumProperty(
         name="Estimate When",
-        description="When the light is estimated anew. Fewer estimates cost less; the light in force is then older",
+        description="When the light is estimated again. Fewer estimates cost less; the light in force is then older",
         items=choices.TRIGGERS,
         translation_context=OUR_WORDS,
         default="split",

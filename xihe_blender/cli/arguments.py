@@ -124,7 +124,7 @@ BETWEEN = (
     "light in force until the next estimate: carried, as the light in view changes (default), or kept as estimated"
 )
 TRIGGER = (
-    "when light is estimated anew: split, when surfaces change colour or new ones come into view; light, when the "
+    "when light is estimated again: split, when surfaces change colour or new ones come into view; light, when the "
     "light of all that is known differs; reference, by the paper's rule; every-frame, unless nothing has changed"
 )
 EFFECT = "simulate an effect or leave it out, whatever the scene needs; may be repeated, is not saved"

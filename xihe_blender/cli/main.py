@@ -30,7 +30,7 @@ COMMANDS = {
     "video": "save a video of a run: captured pictures, ground truth and estimate side by side",
     "effects": "list the lighting and phone effects that a scene needs, and why",
     "frontier": "measure what accuracy costs in time, setting by setting",
-    "paper": "make the evaluation of the paper anew, each figure beside the paper's",
+    "paper": "repeat the paper's evaluation, each figure beside the paper's",
     "estimate": "estimate the light in one RGB-D frame; needs no Blender",
     "record": "record the camera path of a scene as a phone would store it, and the true light beside it",
     "replay": "follow the light at places in a recording of a phone or depth camera; needs no Blender",

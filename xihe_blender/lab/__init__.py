@@ -1,1 +1,1 @@
-"""The laboratory: training rooms, batches, the frontier of accuracy and time, the paper made anew, and workers."""
+"""The laboratory: training rooms, batches, the frontier of accuracy and time, the paper's evaluation, and workers."""

@@ -1,1 +1,1 @@
-"""The paper's evaluation, made anew: tables and figures with our rooms, networks and server, beside its own."""
+"""The paper's evaluation, repeated: tables and figures with our rooms, networks and server, beside its own."""

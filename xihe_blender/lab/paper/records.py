@@ -49,6 +49,7 @@ class Row:
     paper : the paper's figure in the same unit; None where it has none
     cases : what was counted: "rooms", "pairs"
     series, at : line and place across in the study's drawing; without a series it is in none
+    is_detail : one of many, such as a point of a curve: in the report, and not on the page of the documentation
     """
 
     what: str
@@ -63,6 +64,7 @@ class Row:
     cases: str = "cases"
     series: str = ""
     at: float | None = None
+    is_detail: bool = False
 
     def __post_init__(self) -> None:
         if not (self.what and self.unit and self.sentence):

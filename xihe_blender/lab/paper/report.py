@@ -1,14 +1,16 @@
 """The evaluation as a page, and as Markdown: by study what the paper did, the drawing, and every figure beside its own.
 
-Made from results alone, so that both say the same. A drawing has a line per series with its intervals, and the paper's
-figures as hollow marks on it.
+Made from results alone, so that both say the same; the Markdown leaves details to the page. A drawing has a line per
+series with its intervals, and the paper's figures as hollow marks on it.
 """
 
 from __future__ import annotations
 
 import itertools
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from xihe_blender.lab.paper.records import Row, Study, StudyResult, Work
@@ -28,7 +30,7 @@ WORDS: dict[Work, str] = {
     "other machine": "on another machine",
     "cannot be compared": "that cannot be compared",
 }
-TITLE = "The paper's evaluation, made anew"
+TITLE = "The paper's evaluation, repeated"
 FEW_ROOMS = (
     "Over two rooms an interval can hold the true figure in at most 50 % of all cases, over three in 75 %, over five "
     "in 94 %."
@@ -144,21 +146,29 @@ def paper_markdown(studies: Sequence[Study], results: Sequence[StudyResult], com
 
 def _markdown_lines(studies: Sequence[Study], results: dict[str, StudyResult], command: str) -> Iterator[str]:
     yield from (f"# {TITLE}", "")
+    n_details = sum(row.is_detail for one in results.values() for row in one.rows)
+    results = {
+        name: replace(one, rows=tuple(row for row in one.rows if not row.is_detail)) for name, one in results.items()
+    }
+    left_out = f"`report.html` has {n_details} more. " if n_details else ""
     yield from (
-        "What a simulation can answer of the evaluation in Xihe (Zhao and Guo, MobiSys 2021), measured with our rooms, "
-        f"networks and server: {_lead(list(results.values()))} [How this differs from the paper](differences.md).",
+        "What a simulation can repeat of the evaluation in Xihe (Zhao and Guo, MobiSys 2021), with our rooms, networks "
+        f"and server: {_lead(list(results.values()))} {left_out}[How this differs from the paper](differences.md).",
         "",
     )
     yield from ("```sh", command, "```", "")
     days = sorted({one.measured_on for one in results.values()})
     machines = sorted({one.machine for one in results.values()})
-    yield from (f"That command makes this page. Measured on {format_list(days)} on {format_list(machines)}.", "")
     yield from (
-        "In brackets stand the 95 % interval, by bootstrap over cases or over rooms where cases of a room are alike, "
-        f"and the paper's figure. {FEW_ROOMS} {ALIKE} In italics stands what all figures of a table share: "
-        "their unit, their number of cases, and how they compare with the paper's (*same work*; the same on *other "
-        "data* or an *other machine*; *cannot be compared*). `--only NAME` measures one study alone; its name stands "
-        "below the heading.",
+        f"That command makes this page; `--only NAME` measures one study. Measured on {format_list(days)} on "
+        f"{format_list(machines)}.",
+        "",
+    )
+    yield from (
+        "Brackets hold the 95 % interval, by bootstrap over cases, or over rooms where cases of a room are alike, "
+        f"and the paper's figure. {FEW_ROOMS} {ALIKE} Above a table, in italics, is what all of its figures share: "
+        "unit, number of cases, and how they compare with the paper's (*same work*; the same on *other data* or an "
+        "*other machine*; *cannot be compared*).",
         "",
     )
     for study in studies:
@@ -172,6 +182,15 @@ def _markdown_of(study: Study, result: StudyResult) -> Iterator[str]:
         yield from (f"Could not be measured: {result.failed_because}.", "")
         return
     yield from table_lines(result.rows, lambda row: _cells(row)[:-1])
-    # Once where several rows share it.
-    yield from (f"- {sentence}" for sentence in dict.fromkeys(row.sentence for row in result.rows))
+    yield from (f"- {words}" for words in _said_once([row.sentence for row in result.rows]))
     yield ""
+
+
+def _said_once(remarks: Sequence[str]) -> Iterator[str]:
+    """The remarks without the sentences of those before."""
+    said: set[str] = set()
+    for remark in dict.fromkeys(remarks):
+        new = [sentence for sentence in re.split(r"(?<=\.) (?=[A-Z])", remark) if sentence not in said]
+        said.update(new)
+        if new:
+            yield " ".join(new)

@@ -21,11 +21,11 @@ PAPER = {
     1280: (5.23, 2.58, 1.72, 1.31),
     2048: (6.50, 3.30, 2.20, 1.62),
 }
-SAME = "As many points, drawn alike in a cube of 10 m, and a table of as many cells; right is the largest cosine."
-OURS = "Ours finds the nearest anchor exactly, and takes 1.2 to 1.4 times as long as the table."
-LIGHT = (
-    "The paper draws no effect on its network's error; here projection of all frames of a walk, by table and exactly."
+SAME = (
+    "The same number of points, drawn in the same way, and the same tables; the nearest anchor has the largest cosine."
 )
+OURS = "Ours finds the nearest anchor exactly, and takes 1.2 to 1.4 times as long as the table."
+LIGHT = "The paper's plot shows no effect on its network's error. Here it is projection on all frames of a walk."
 
 
 def in_cube(n_points: int, rng: np.random.Generator) -> ArrayF32:
@@ -91,7 +91,7 @@ STUDY = Study(
     "Acceleration grid",
     70,
     "The paper sorts points into anchors by a table over azimuth and polar angle, and counts how many of 1,000,000 "
-    "points in a cube of 10 m reach the nearest anchor, by size of the table; here those that do not.",
+    "points in a cube of 10 m reach the nearest anchor, by size of the table. The table here counts those that do not.",
     measure,
     "width of the table, cells",
     "Points at another anchor than the nearest, per cent.",

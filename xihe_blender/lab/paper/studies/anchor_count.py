@@ -18,11 +18,9 @@ PAPER_RMSE = {512: 0.0934, 768: 0.0960, 1024: 0.0959, 1280: 0.0941, 1536: 0.0938
 NON_EMPTY = 607 / 1280
 ERROR = (
     "Light clipped at white from one view, in other rooms, by one set of weights of ours; the paper trains a network "
-    "for each number. Comparable is how little the number matters."
+    "for each number of anchors. In both, the number hardly matters."
 )
-SHARE = (
-    "The paper's mean is 607 of 1280: more than half are empty. How many are depends on the angle of view and the room."
-)
+SHARE = "In the paper 607 of 1280 anchors are set on average. The number depends on the angle of view and the room."
 
 
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:

@@ -21,13 +21,12 @@ from xihenet.sphere import AnchorLattice
 ROWS, COLUMNS = 32, 40
 N_ANCHORS = ROWS * COLUMNS
 N_ACROSS = 1000
-AREA = (
-    "The paper shows one picture of each and no figure: here each anchor's share of the sphere, by random directions."
-)
+AREA = "The paper shows one picture of each and no figure. Here it is the spread of the anchors' shares of the sphere."
 COMPLETENESS = (
-    "The paper's completeness is the share of anchors that are set; that is a share of the sphere only for even ones."
+    "The paper's completeness is the share of anchors that are set, which is a share of the sphere only for even "
+    "anchors."
 )
-WHOLE = "Light of order 2 seen from everywhere, each anchor weighing the same, as even anchors allow."
+WHOLE = "All of an order-2 light is seen, and each anchor has the same weight, which is right for even anchors."
 ERROR = "Regularised least squares on the set anchors of all frames, for both alike."
 
 
@@ -131,7 +130,7 @@ STUDY = Study(
     "anchors_uniform",
     "Even anchors, and a grid",
     60,
-    "The paper shows one view's anchors, evenly spread and grouped, and takes even ones, since completeness depends on "
-    "them.",
+    "The paper shows the anchors of one view, evenly spread and grouped, and chooses even ones, since completeness "
+    "depends on them.",
     measure,
 )

@@ -13,7 +13,7 @@ from xihenet.edge.bench import PAPER_MS, server_times_ms
 STEPS = ("decode", "merge", "inference")
 NETWORKS = {"lattice": "our default network", "xihenet": "the paper's network, with weights of ours"}
 TIME = "Clouds of which half of the anchors are set: theirs on an RTX 2080Ti, ours in NumPy on one core."
-GROWTH = "How time grows with anchors is comparable; on a GPU small clouds leave most of it idle."
+GROWTH = "The growth with the number of anchors can be compared, though small clouds leave most of a GPU idle."
 
 
 def measure(_sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
@@ -39,8 +39,8 @@ STUDY = Study(
     "edge_steps",
     "Steps on the server",
     30,
-    "The paper times its server with 512, 1280 and 2048 anchors over its test set; it calls merging with what was seen "
-    "before extrapolation.",
+    "The paper times its server with 512, 1280 and 2048 anchors over its test set. What is called merge here, the "
+    "paper calls extrapolation.",
     measure,
     "anchors",
     "Inference of one cloud, ms.",

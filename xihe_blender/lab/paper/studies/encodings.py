@@ -32,13 +32,12 @@ PAPER: dict[EncodingMethod, tuple[int, int, float]] = {
 }
 RECORD = "The same record."
 BYTES = (
-    "Clouds of one view with 1280 anchors: theirs from Matterport3D. How many anchors a view sets decides the bytes."
+    "Clouds of one view with 1280 anchors; the paper's are of Matterport3D. The number of anchors that a view sets "
+    "decides the bytes."
 )
-ODD = "5 bytes for each of 1280 anchors are 6,400: the paper's 8,960 is 7 bytes for each. We take it for a slip."
-FASTER = (
-    "The paper finds stripping faster, by this much. Where all records are written in one call there is less to gain."
-)
-TIME = "NumPy on one core beside C# on an iPad Pro, whose loop over anchors costs what here is one call."
+ODD = "1280 anchors of 5 bytes are 6,400 bytes. The paper's 8,960 would be 7 bytes each, probably a slip."
+FASTER = "The paper finds stripping faster. Here all records are written in one call, so there is nothing to gain."
+TIME = "Ours in NumPy on one core, in one call; theirs in C# on an iPad Pro, in a loop over anchors."
 
 
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
@@ -67,7 +66,7 @@ STUDY = Study(
     "encodings",
     "Encodings",
     90,
-    "The paper compares four ways to write a cloud of 1280 anchors; stripping leaves out anchors that nothing was seen "
-    "for.",
+    "The paper compares four encodings of a cloud of 1280 anchors; the stripped ones leave out anchors that are not "
+    "set.",
     measure,
 )

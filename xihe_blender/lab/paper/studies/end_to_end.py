@@ -11,10 +11,10 @@ from xihe_blender.lab.paper.studies.network_time import cloud_bytes, link_ms
 from xihenet.edge.batching import Inference
 
 PAPER_MS = {"wifi": 20.67, "lte": 79.2}
-COMPUTING = "Theirs is 20.67 ms less 8.4 ms of WiFi: phone on its GPU and server on an RTX 2080Ti; ours is one machine."
+COMPUTING = "Theirs is 20.67 ms less 8.4 ms of WiFi, on a phone's GPU and an RTX 2080Ti; ours is one machine."
 WHOLE = (
-    "Our time on phone and server, measured, and a simulated link with the paper's times in between; the paper's "
-    "figure for LTE is of an iPhone."
+    "Our measured time on phone and server, plus a simulated link with the paper's times; the paper's figure for LTE "
+    "is of an iPhone."
 )
 LOOPBACK = "Phone and server are one process on one machine, with real HTTP between them."
 

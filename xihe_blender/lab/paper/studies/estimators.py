@@ -29,10 +29,10 @@ ERROR = (
     "the paper trains on Matterport3D and tests there."
 )
 RATIO = (
-    "Divided by the error of always saying a mean light: theirs that of the test set itself, ours that of the other "
-    "rooms, which few rooms know badly. See docs/estimators.md for 149 rooms."
+    "Divided by the error of always giving a mean light: theirs of the test set itself, ours of the other rooms, which "
+    "are too few for a good mean. See docs/estimators.md for 149 rooms."
 )
-SEEDS = "The paper's five runs are five trainings; ours are five drawings of points for one set of weights."
+SEEDS = "The paper's five runs are five trainings; ours are five random draws of points for one set of weights."
 SPEED = "Theirs on an RTX 2080Ti with 512 anchors, at best; ours in NumPy on one core, also with 512."
 
 

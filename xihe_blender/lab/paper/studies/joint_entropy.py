@@ -37,14 +37,14 @@ NOISE_PER_M = 0.01
 SHARES_BETA = (2.4, 4.5)
 HOLE_SHARES = (0.0, 0.2, 0.4, 0.6)
 GAIN = (
-    "What unit-sphere sampling has more of the whole cloud's entropy, mean over clouds; of 1280 anchors, where the "
-    "paper's is a mean over seven numbers of them. "
+    "The gain is the share of the whole cloud's entropy that unit-sphere sampling keeps beyond what the other sampling "
+    "keeps, mean over clouds; ours is of 1280 anchors, the paper's a mean over seven numbers of anchors. "
 )
 FITTED = (
     "Shares of pixels without depth are drawn so that whole clouds are as incomplete as published (0.35 on average), "
     "which decides the gain over uniform sampling; the gain over farthest points was not fitted."
 )
-DEEP = "Farthest points gather in what is far, so their loss grows with the depth of the view."
+DEEP = "Farthest-point sampling picks distant points, so it loses more in deep views."
 SWITCHED = "The paper's way with this one thing changed; its own figure stands beside the row that changes nothing."
 CURVE = "The paper's way with the same share of pixels without depth in every view."
 SPREAD = (
@@ -52,8 +52,8 @@ SPREAD = (
 )
 SPREADS = (("5th percentile", 0.05, 23.1), ("median", 0.5, 42.2), ("95th percentile", 0.95, 52.1))
 ACCURACY = (
-    "Spearman's, of the entropy of a view and the error of the light from it, without holes. The "
-    "paper shows a falling line for its own network, without a number."
+    "Spearman's correlation of a view's entropy with the error of the light from it, without holes. The paper shows a "
+    "falling line for its own network, without a number."
 )
 
 

@@ -21,8 +21,9 @@ GRID = [(metallic, smoothness) for metallic in METALLIC for smoothness in SMOOTH
 SIZE, SAMPLES = 64, 24
 ESTIMATE, TRUE = "estimate", "true light"
 SENTENCE = (
-    "The paper shows pictures of a bunny and no figure; here a white sphere, path-traced in the room and under a "
-    "light. What is off under the true light too is due to nine coefficients, and what clips at white."
+    "The paper shows pictures of a bunny and no figure. Here a white sphere under each light is compared with the "
+    "same sphere path-traced in the room. The error under the true light comes from the nine coefficients, and from"
+    " clipping."
 )
 
 

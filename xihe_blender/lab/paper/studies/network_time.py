@@ -19,14 +19,14 @@ from xihenet.sphere import AnchorLattice
 POSITIONS = (1, 2, 4)
 PAPER_MS = {("wifi", 1): 8.4, ("wifi", 4): 1.28 * 8.4}
 LINK = (
-    "A simulated link with the bytes of our clouds. Its median with one position and the cost of four are the paper's, "
-    "so that agreement says only that the link is what it was made to be; home WiFi and LTE are from other sources."
+    "A simulated link that carries our clouds. Its median with one position, and the cost of four, were set to the "
+    "paper's figures, so their agreement is no result; home WiFi and LTE are from other sources."
 )
 LOOPBACK = (
-    "From asking to the last light, the server's work included, in one process on one machine: positions ask together, "
-    "but share its cores, and nothing is under way."
+    "From the request to the last light, the server's work included, in one process on one machine: positions ask "
+    "together but share its cores, and there is no network delay."
 )
-RATIO = "The paper's is of university WiFi."
+RATIO = "The paper's figure is of university WiFi."
 
 
 def cloud_bytes(sessions: Sequence[Session]) -> list[int]:
@@ -84,8 +84,8 @@ STUDY = Study(
     "network_time",
     "Network",
     40,
-    "The paper times the way of one encoded cloud to the server and of the light back, over university WiFi, home WiFi "
-    "and LTE, with one, two and four positions.",
+    "The paper times the transfer of one encoded cloud to the server and of the light back, over university WiFi, home "
+    "WiFi and LTE, with one, two and four positions.",
     measure,
     "positions",
     "Network time, ms.",

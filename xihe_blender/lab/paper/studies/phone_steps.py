@@ -16,10 +16,10 @@ from xihenet.trigger import TriggerSettings
 
 PAPER_MS = {"unproject": 0.221, "sample": 0.063, "merge": 0.029 + 0.062, "trigger": 3.040, "encode": 2.832}
 WHOLE = "the five steps together"
-TIME = "The same steps of 49,152 points and 1280 anchors: theirs on the GPU of an iPad Pro, ours in NumPy on one core."
+TIME = "The same steps for 49,152 points and 1280 anchors: theirs on an iPad Pro's GPU, ours in NumPy on one core."
 SHARE = (
-    "Which step weighs most can be compared: the trigger and encoding of theirs wait for the GPU to hand over data, as "
-    "NumPy does not; it takes longer to sort points to anchors instead."
+    "What can be compared is which step takes most of the time. Their trigger and encoding wait for data from the GPU; "
+    "NumPy does not wait, but takes longer to assign points to anchors."
 )
 
 

@@ -33,10 +33,10 @@ LIGHT = (
     "intensity and colour; the mirror sphere is read as GLEAM reads its probe."
 )
 PICTURE = (
-    "Three spheres under nine coefficients beside path-traced ones, sRGB, clipped at white. What is off under the true "
-    "light is due to nine coefficients."
+    "Three spheres under nine coefficients are compared with path-traced ones, in sRGB, clipped at white. The error "
+    "under the true light comes from the nine coefficients."
 )
-TIMES = "The paper counts time, 19.9 % less than GLEAM; here both see the same room, and errors are counted."
+TIMES = "The paper compares times (19.9 % less than GLEAM); here errors in the same room are compared."
 SAMPLES = 16
 RIM = 0.95
 """Of a sphere's radius."""
