@@ -123,7 +123,7 @@ def test_a_server_that_was_restarted_gets_a_new_session_and_the_light_goes_on(ba
     assert (
         backend.n_opened == 2
         and backend.connection.n_retries > 0
-        and "1 sessions lost and opened anew" in backend.state()
+        and "1 sessions lost and opened again" in backend.state()
     )
 
 

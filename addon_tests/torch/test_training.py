@@ -295,7 +295,7 @@ def test_a_damaged_room_is_named_with_what_to_do(tmp_path):
 def test_rooms_of_another_format_are_refused_as_the_build_does(tmp_path, content, said):
     write_room(tmp_path, 0)
     (tmp_path / "dataset.json").write_text(content)
-    with pytest.raises(ValueError, match=f"dataset.json: expected rooms of format 2, got {said}; build them anew"):
+    with pytest.raises(ValueError, match=f"dataset.json: expected rooms of format 2, got {said}; build them again"):
         room_files(tmp_path)
     (tmp_path / "dataset.json").write_text('{"format": 2}')
     assert len(room_files(tmp_path)) == 1

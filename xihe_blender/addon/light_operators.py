@@ -69,7 +69,7 @@ class XIHE_OT_show_lit(Action, bpy.types.Operator):
 class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
     bl_idname = "xihe.show_room"
     bl_label = "Back to Room"
-    bl_description = "Go back to the scene that the run was made of"
+    bl_description = "Go back to the room's scene"
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_lit_scene)
 

@@ -109,7 +109,7 @@ class XIHE_OT_update_light(Action, bpy.types.Operator):
         if not places:
             return "Every object is where its light was estimated"
         show_found(scene, folder, places, _kept.find_light(folder, places))
-        return f"Light estimated anew: {', '.join(places)}"
+        return f"Light estimated again: {', '.join(places)}"
 
 
 # ---------------------------------------------------------------------------------------------------------- in a window

@@ -39,8 +39,8 @@ class XIHE_OT_look_where(polls.Conditional, ModalJob, bpy.types.Operator):
     bl_idname = "xihe.look_where"
     bl_label = "Look Where?"
     bl_description = (
-        "Say at which frame, and where to, the phone should look for a second so that the light at the active virtual "
-        "object is known better; from the frames of the last run, nothing is rendered"
+        "Find where, and at which frame, the phone should look for a second to know the light at the active virtual "
+        "object better, from the frames of the last run; nothing is rendered"
     )
     bl_options = {"REGISTER"}
     cancelled = "Nothing was found out"
@@ -75,7 +75,7 @@ class XIHE_OT_add_better_camera(Action, bpy.types.Operator):
     bl_idname = "xihe.add_better_camera"
     bl_label = "Add Camera"
     bl_description = (
-        "Add the animated camera Xihe Better Path, which goes the path and does the advised look. To run with it, "
+        "Add the animated camera Xihe Better Path, which follows the path and looks where advised. To run with it, "
         "choose it as the scene's camera and set the scene's end to its last frame. Remove Light takes it away"
     )
     bl_options = {"REGISTER", "UNDO"}

@@ -59,7 +59,9 @@ METHODS = (
     "error of the lit objects, in linear colour, against the ground truth. 0 is perfect; the best picture stands first"
     ". ms: milliseconds that one estimate took, the way to an edge server and back included"
 )
-AMBIENT_ERROR = "The same distance for one even light as bright as the captured picture, which every phone can offer"
+AMBIENT_ERROR = (
+    "The same distance for even light as bright as the captured picture, which every phone's light sensor gives"
+)
 COVERAGE = (
     "Share of the directions around the virtual objects that the phone has seen. The light from all others is guessed, "
     "so below a half let the phone look around more"
@@ -74,7 +76,7 @@ NO_DEPTH = (
     "Pixels without a depth, such as those of windows and sky, counted once for each position. Their colour counts as "
     "light from far away, where nothing nearer is known"
 )
-UNKNOWN_LIGHT = "How often the light could not be known, so that the one before it stayed"
+UNKNOWN_LIGHT = "How often the light could not be estimated, so that the light before it stayed in use"
 
 
 class StagePanel:

@@ -165,7 +165,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     )
     carries_light: bpy.props.BoolProperty(
         name="Carry Light",
-        description="Until the next estimate, change the light in force as the light in view changes; else keep it",
+        description="Until the next estimate, change the light in use as the light in view changes; else keep it",
         default=True,
     )
     phone_name: bpy.props.StringProperty(
@@ -220,7 +220,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     )
     trigger: bpy.props.EnumProperty(
         name="Estimate When",
-        description="When the light is estimated again. Fewer estimates cost less; the light in force is then older",
+        description="When the light is estimated again. Fewer estimates cost less; the light in use is then older",
         items=choices.TRIGGERS,
         translation_context=OUR_WORDS,
         default="split",
@@ -261,7 +261,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         default=True,
     )
     maps_air: bpy.props.BoolProperty(
-        name="In the Air", description="Map a grid in free air at a height, in place of upward surfaces"
+        name="In the Air", description="Map a grid in free air at a height, instead of upward surfaces"
     )
     map_height_m: bpy.props.FloatProperty(
         name="Height", description="Height of the grid, in metres above the world's origin", default=1.0, soft_min=0.0

@@ -126,7 +126,7 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
     bl_label = "Export Light"
     bl_description = (
         "Write the light at this frame for an engine, into the folder exports of the run: coefficients or a picture, "
-        "and the main light apart. What each engine gets is in the documentation, on the page Light for engines"
+        "and the key light apart. What each engine gets is in the documentation, on the page Light for engines"
     )
     bl_options = {"REGISTER"}
     conditions = (polls.leaves_the_file, polls.has_last_run)

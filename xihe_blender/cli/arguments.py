@@ -117,12 +117,8 @@ def one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}"
 
 
-BACKEND = (
-    "estimate by the edge service at this address, such as http://127.0.0.1:8550, in place of here; see xihe serve"
-)
-BETWEEN = (
-    "light in force until the next estimate: carried, as the light in view changes (default), or kept as estimated"
-)
+BACKEND = "estimate by the edge service at this address, such as http://127.0.0.1:8550, instead of here; see xihe serve"
+BETWEEN = "light in use until the next estimate: carried, as the light in view changes (default), or kept as estimated"
 TRIGGER = (
     "when light is estimated again: split, when surfaces change colour or new ones come into view; light, when the "
     "light of all that is known differs; reference, by the paper's rule; every-frame, unless nothing has changed"

@@ -25,17 +25,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "results", metavar="RESULTS.json", type=Path, nargs="?", help="of a run that is done, or its folder"
     )
     lit = (
-        "in place of a run: a .blend whose virtual objects are lit; needs Blender, has no reflections. "
-        f"For {VIEWER} beside the run: the file with the objects; default: the lit one in the run's folder"
+        "instead of a run: a .blend whose virtual objects are lit; needs Blender, has no reflections. "
+        f"For {VIEWER}, with the run: the file with the objects; default: the lit one in the run's folder"
     )
     add("--from FILE.blend", lit, Path, dest="lit")
     target = f"engine or file format, {one_of(PLATFORMS)}; or {VIEWER}, a page to send that shows the run"
     add("--to TARGET", target, choices=(*PLATFORMS, VIEWER), required=True)
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--frame", metavar="N", type=int, help="light in force at this frame; default: the last one")
+    which.add_argument("--frame", metavar="N", type=int, help="light in use at this frame; default: the last one")
     which.add_argument("--all", action="store_true", help="every light of the path, from the frame on where it changes")
     add("--objects A,B", OBJECTS, names)
-    parts = "what is written: spherical harmonics, a main light apart, pictures for reflections; default: as in the run"
+    parts = (
+        "what is written: spherical harmonics, the key light apart, pictures for reflections; default: as in the run"
+    )
     add("--light PARTS", parts, choices=get_args(LightParts))
     add(
         "--reading NAME",

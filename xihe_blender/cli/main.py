@@ -49,7 +49,7 @@ MODULES = {"import": "import_capture"}
 
 NEEDS_BLENDER = (
     "this command needs Blender: with Python 3.11 or 3.13 pip install 'xihe-blender[blender]', or install the "
-    "extension and type blender --command xihe in place of xihe"
+    "extension and type blender --command xihe instead of xihe"
 )
 
 

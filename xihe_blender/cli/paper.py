@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out DIR", "folder of the results; a stopped run in it is resumed", Path, required=True)
     add("--quick", quick, action="store_true")
     add("--only NAME", "one study; may be repeated; default: all", action="append", default=[])
-    add("--scenes SCENE.blend", "your own rooms in place of ours, with animated cameras", Path, nargs="+", default=[])
+    add("--scenes SCENE.blend", "your own rooms instead of ours, with animated cameras", Path, nargs="+", default=[])
     add("--seed N", "the same seed gives the same numbers, times aside", int, default=0)
     add("--document FILE.md", "write the page of the documentation as well", Path)
 

@@ -87,7 +87,7 @@ class ObjectBudget:
     moments: Annotated[tuple[int, ...], "frames in which errors were measured; none: it was never in view"]
     brightness: Annotated[float | None, "root mean square of what a satin ball shows there"] = None
     error: Annotated[float | None, "of that under the estimated light"] = None
-    least_squares_error: Annotated[float | None, "with the estimator `projection` in place of the one chosen"] = None
+    least_squares_error: Annotated[float | None, "with the estimator `projection` instead of the one chosen"] = None
     parts: tuple[BudgetPart, ...] = ()
 
     @property

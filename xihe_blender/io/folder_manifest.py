@@ -105,7 +105,7 @@ class FolderManifest:
             kept = None
         if not isinstance(kept, dict) or not VERSIONS.keys() & self.provenance.keys() & kept.keys():
             raise UserError(
-                f"{self.file} is damaged, so nobody can tell what {self.folder} holds: choose another folder for "
+                f"{self.file} is damaged, so it is not known what {self.folder} holds: choose another folder for "
                 "--out, or delete that one"
             )
         held = kept.get(WORK, self.what)

@@ -165,7 +165,7 @@ class Rendering:
 class OtherLight:
     """The light of another estimator, from the same clouds."""
 
-    sh: Annotated[Coefficients, "the light in force"]
+    sh: Annotated[Coefficients, "the light in use"]
     shc_rmse: Annotated[float | None, "root mean square difference of `sh` from `sh_truth`; None without one"]
 
 
@@ -187,7 +187,7 @@ class ProbeResult:
     invalid: Annotated[Counts, "these, and clamped distances (docs/invalid_data.md)"] = field(default_factory=dict)
     is_valid: Annotated[bool, "false where the light could not be known, so that the last one stays"] = True
     unknown_because: Annotated[str | None, "why, else None"] = None
-    light_frame: Annotated[int | None, "whose estimate is in force; None for the ambient light"] = None
+    light_frame: Annotated[int | None, "whose estimate is in use; None for the ambient light"] = None
     n_followed_anchors: Annotated[int, "directions out of view that were changed as the light in view was"] = 0
     light_gain: Annotated[
         Rgb, "what that estimate is multiplied by, by channel, as the light in view has changed since its frame"
@@ -195,7 +195,7 @@ class ProbeResult:
     payload_bytes: Annotated[int, "sent; 0 where nothing fired"]
     arrival_frame: Annotated[int | None, "first at or after the arrival; None also where the path ends before"] = None
     latency_ms: Annotated[float | None, "from trigger to arrival; None without an estimate or where it was lost"] = None
-    sh: Annotated[Coefficients, "the light in force, the ambient one until a valid estimate has arrived"]
+    sh: Annotated[Coefficients, "the light in use, the ambient one until a valid estimate has arrived"]
     sh_truth: Annotated[Coefficients | None, "the light probe's, for `settings.target`; None in a recording"]
     shc_rmse: Annotated[float | None, "root mean square difference of `sh` from it; None without one"]
     expected_error: Annotated[float | None, "that the estimator expects of `sh`; None if it says none"] = None

@@ -190,8 +190,8 @@ def carried_light_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
     if numbers:
         least, most = (extreme(extreme(gains[frame]) for frame in numbers) for extreme in (min, max))
         yield (
-            f"At {format_frames(numbers)} the light in view had changed since the frame of the estimate in force; that "
-            f"was carried on by the same factor, {least:.2f} to {most:.2f} by channel, until the next one was there."
+            f"At {format_frames(numbers)} the light in view had changed since the estimate in use, which was "
+            f"multiplied by the same factor, {least:.2f} to {most:.2f} by channel, until the next one arrived."
         )
 
 

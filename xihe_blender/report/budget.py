@@ -105,7 +105,7 @@ def _least_squares(item: ObjectBudget) -> str:
     if item.least_squares_error is None:
         return ""
     then, now = (format_percent(item.relative(error or 0.0)) for error in (item.least_squares_error, item.error))
-    other = "With least squares (<code>projection</code>) in place of the estimator"
+    other = "With least squares (<code>projection</code>) instead of the estimator"
     return f"<p>{other} the error would be {then} of the brightness; it is {now}.</p>"
 
 

@@ -193,7 +193,7 @@ def _phone(results: RunResults) -> str:
     if not rows:
         return format_phone(results)
     caption = (
-        "Mean SHC RMSE over probes and frames of the light in use. Each row runs the whole session again from the "
+        "Mean SHC RMSE over positions and frames of the light in use. Each row runs the whole session again from the "
         "recorded captures, with that effect left out; triggers may then fire in other frames, so small differences "
         "mean nothing."
     )

@@ -162,7 +162,7 @@ class EdgeBackend:
         if n_retries:
             words += f", {n_retries} tries repeated"
         if n_lost:
-            words += f", {n_lost} sessions lost and opened anew"
+            words += f", {n_lost} sessions lost and opened again"
         return words + (f", {n_failed} estimates without an answer" if n_failed else "")
 
     def close(self) -> None:
@@ -205,7 +205,7 @@ class EdgeBackend:
             raise EdgeRefused(f"{self.connection.url} is no edge service: its answer has no {missing[0]}")
         if self.name not in ("", answer["estimator"]):
             raise EdgeRefused(
-                f"the server at {self.connection.url} came back with {answer['estimator']} in place of {self.name}"
+                f"the server at {self.connection.url} came back with {answer['estimator']} instead of {self.name}"
             )
         self.name = answer["estimator"]
         self.farthest_m = float("inf") if answer["farthest_m"] is None else float(answer["farthest_m"])

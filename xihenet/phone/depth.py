@@ -61,7 +61,7 @@ class DistanceNoise(Section):
 
     def required_by(self, facts: SessionFacts) -> Required:
         beyond_m = max(known(facts.farthest_m, "how far the room goes") - self.growth_from_m, 0.0)
-        if self.shift_px and known(facts.widest_step_m, "whether one thing stands before another"):
+        if self.shift_px and known(facts.widest_step_m, "whether one object stands before another"):
             return True, "things stand before others, and at their edges the sensor mixes the two"
         return facts.moves_points(2 * (self.sigma_m + self.growth * beyond_m**self.growth_power), "the sensor's error")
 

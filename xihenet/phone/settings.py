@@ -80,7 +80,7 @@ class SessionFacts:
 
     def has_step_over(self, span_m: float) -> Required:
         """Whether one thing stands further than `span_m` before another."""
-        step_m = known(self.widest_step_m, "whether one thing stands before another")
+        step_m = known(self.widest_step_m, "whether one object stands before another")
         if step_m > span_m:
             return True, f"things stand up to {step_m:.1f} m before what is behind them"
         return False, f"nothing stands more than {span_m:g} m before what is behind it"

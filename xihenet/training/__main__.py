@@ -111,7 +111,7 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
         "--logarithmic-loss",
         action="store_true",
         dest="is_logarithmic",
-        help="count by what factor an error is smaller, in place of by how much",
+        help="use the logarithm of each light's error as the loss",
     )
     add("--huber-delta", type=float, default=1.0, metavar="ERROR",
         help="error of a coefficient from which the loss is linear in it")  # fmt: skip
@@ -127,7 +127,7 @@ def _add_train_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_export_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("network", type=Path, help="trained network, a .pt file, or weights of lattice to calibrate anew, .npz")
+    add("network", type=Path, help="trained network, a .pt file, or weights of lattice to calibrate again, .npz")
     add("out", type=Path, help="weights to write, an .npz file")
     add("--data", default="", help="description of the training data")
     add("--anchors", type=int, metavar="N", help="points that a PointConv network was trained with")
@@ -135,7 +135,7 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
         help="sampled validation rooms that calibrate the expected error of lattice")  # fmt: skip
     add(
         "--elsewhere", type=Path, nargs="+", default=(), metavar="DIR",
-        help="sampled clouds of rooms of another kind, a folder each, that calibrate it in place of --clouds",
+        help="sampled clouds of rooms of another kind, a folder each, that calibrate it instead of --clouds",
     )  # fmt: skip
     parser.set_defaults(run=_run_export)
 

@@ -242,7 +242,7 @@ def read_cache(folder: Path) -> Cache:
             return Cache(*(found[name] for name in Cache._fields))
     except (OSError, ValueError, KeyError, TypeError):
         raise ValueError(f"{folder}: {wanted}, got none; make them {hint}") from None
-    raise ValueError(f"{folder}: {wanted} of version {CACHE_VERSION}, got {found['version']}; make them anew {hint}")
+    raise ValueError(f"{folder}: {wanted} of version {CACHE_VERSION}, got {found['version']}; make them again {hint}")
 
 
 def clouds_of_room(

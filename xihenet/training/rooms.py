@@ -80,7 +80,7 @@ def room_files(folder: Path) -> list[Path]:
         except (ValueError, KeyError, TypeError):
             found = "none"
         if found != ROOM_FORMAT:
-            raise ValueError(f"{manifest}: expected rooms of format {ROOM_FORMAT}, got {found!r:.80}; build them anew")
+            raise ValueError(f"{manifest}: expected rooms of format {ROOM_FORMAT}, got {found!r:.80}; build them again")
     return files
 
 
