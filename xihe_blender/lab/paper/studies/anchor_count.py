@@ -15,6 +15,7 @@ from xihenet.records import UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
 PAPER_RMSE = {512: 0.0934, 768: 0.0960, 1024: 0.0959, 1280: 0.0941, 1536: 0.0938, 1792: 0.0940, 2048: 0.0942}
+QUICK_SIZES = (512, 1280, 2048)
 NON_EMPTY = 607 / 1280
 ERROR = (
     "Light clipped at white from one view, in other rooms, by one set of weights of ours; the paper trains a network "
@@ -29,18 +30,20 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         raise UserError("fewer than two frames of steady rooms have a place in view")
     rooms, rng = [view.room for view in found], options.rng
     cases = of_rooms("views", rooms)
-    sizes = (512, 1280, 2048) if options.quick else tuple(PAPER_RMSE)
+    sizes = QUICK_SIZES if options.quick else tuple(PAPER_RMSE)
     clouds = {n: [view.cloud(AnchorLattice(n)) for view in found] for n in sizes}
     for n in sizes:
         shares = measured([cloud.is_set.mean() for cloud in clouds[n]], rng, groups=rooms)
         paper = NON_EMPTY if n == 1280 else None
-        yield Row(f"{n} anchors: set by one view", "of all", *shares, "other data", SHARE, paper, cases)
+        what, is_detail = f"{n} anchors: set by one view", n not in QUICK_SIZES
+        yield Row(what, "of all", *shares, "other data", SHARE, paper, cases, is_detail=is_detail)
     for name in ("xihenet", "projection", "lattice"):
         errors = {n: np.array(_errors(name, n, clouds[n], found)) for n in sizes if _takes(name, n)}
         for n, each in errors.items():
             paper = PAPER_RMSE[n] if name == "xihenet" else None
             of_all = measured(each, rng, groups=rooms)
-            yield Row(f"{n} anchors: {name}", "SHC RMSE", *of_all, "other data", ERROR, paper, cases, name, n)
+            what, is_detail = f"{n} anchors: {name}", n not in QUICK_SIZES
+            yield Row(what, "SHC RMSE", *of_all, "other data", ERROR, paper, cases, name, n, is_detail)
         if {512, 2048} <= errors.keys():
             of_all = measured(
                 np.stack([errors[2048], errors[512]], axis=1), rng, groups=rooms, statistic=ratio_of_means

@@ -189,9 +189,8 @@ def _gains(
         gains = measured([one["sphere"] - one[other] for one in of_views], options.rng, groups=rooms)
         series = "" if at is None else f"over {WORDS[other]}"
         shown = paper if has_paper else None
-        yield Row(
-            f"{name}: over {WORDS[other]}", "of whole", *gains, "other data", sentence, shown, "views", series, at
-        )
+        what, is_detail = f"{name}: over {WORDS[other]}", at is not None
+        yield Row(what, "of whole", *gains, "other data", sentence, shown, "views", series, at, is_detail)
 
 
 def _as_the_paper(of_views: Sequence[dict[str, float]], found: Sequence[Scan], options: StudyOptions) -> Iterator[Row]:

@@ -49,9 +49,8 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             of_all = measured([place[cell] for place in each], options.rng, groups=rooms)
             what = f"metallic {metallic:g}, smoothness {smoothness:g}: under the {light}"
             series = (f"{light}, metallic {metallic:g}", smoothness)
-            yield Row(
-                what, "sRGB RMSE", *of_all, "cannot be compared", SENTENCE, None, of_rooms("places", rooms), *series
-            )
+            is_detail, cases = metallic not in (METALLIC[0], METALLIC[-1]), of_rooms("places", rooms)
+            yield Row(what, "sRGB RMSE", *of_all, "cannot be compared", SENTENCE, None, cases, *series, is_detail)
 
 
 def _pictures(session: Session, n: int, options: StudyOptions) -> dict[str, list[ArrayF64]]:
