@@ -14,7 +14,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.scene.phone_capture import ChosenCapture
 
 UP = (
-    ("USUAL", "As Usual", "As is usual for the kind of recording"),
+    ("USUAL", "As Usual", "The usual axis of the recording's format"),
     *((axis, axis.upper(), f"The recording's {axis.upper()} axis points up") for axis in ("z", "y", "x")),
     *((f"-{axis}", f"-{axis.upper()}", f"The recording's {axis.upper()} axis points down") for axis in ("z", "y", "x")),
 )
@@ -35,7 +35,7 @@ class XIHE_OT_import_capture(Action, bpy.types.Operator):
     )
     up: bpy.props.EnumProperty(name="Up", description="Axis of the recording's world that points up", items=UP)
     scale: bpy.props.FloatProperty(
-        name="Scale", description="What all lengths of the recording are multiplied by", default=1.0, min=1e-6
+        name="Scale", description="Factor on all lengths of the recording", default=1.0, min=1e-6
     )
     floor_m: bpy.props.FloatProperty(
         name="Floor", description="Height of the floor in the scaled recording, in metres, which becomes 0"

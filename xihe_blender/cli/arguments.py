@@ -52,7 +52,7 @@ def add_capture(add: Callable[..., None], *, has_estimator: bool = True) -> None
 def add_recording(add: Callable[..., None]) -> None:
     """The arguments of all commands that read a recording: what it does not say of itself, or says wrongly."""
     add("--up AXIS", UP, choices=tuple(BLENDER_FROM_UP))
-    add("--scale FACTOR", "what all lengths of the recording are multiplied by; default: 1", float, default=1.0)
+    add("--scale FACTOR", "factor on all lengths of the recording; default: 1", float, default=1.0)
     add("--floor HEIGHT", "height of the floor in the scaled recording, in metres, which becomes 0", float, default=0.0)
 
 
@@ -136,5 +136,5 @@ PHONES = one_of([*profile_names(), "your own file"])
 SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
 SCENE = "scene with an animated camera"
 SIZE = "size of captured pictures; default: {0}x{1}, or {1}x{0} if the scene is upright".format(*DEFAULT_SIZE)
-UP = "axis of the recording's world that points up; default: as is usual for it"
+UP = "axis of the recording's world that points up; default: the usual one of its format"
 TARGET = "light to estimate and to compare with: all of it (hdr, the default) or clipped at white (ldr)"

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"{name}: {', '.join(one.readings)}" for name, one in PLATFORMS.items() if len(one.readings) > 1
     )
     parser.add_argument(
-        "results", metavar="RESULTS.json", type=Path, nargs="?", help="of a run that is done, or its folder"
+        "results", metavar="RESULTS.json", type=Path, nargs="?", help="results of a finished run, or its folder"
     )
     lit = (
         "instead of a run: a .blend whose virtual objects are lit; needs Blender, has no reflections. "

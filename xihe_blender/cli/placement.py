@@ -10,8 +10,8 @@ from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
 
-SPACING = "between places, however many that makes; default: the finest that --places allows"
-PLACES = "most places; default: 1000"
+SPACING = "distance between places, however many that makes; default: the smallest that --places allows"
+PLACES = "largest number of places; default: 1000"
 VERIFY = "places whose light probe is rendered, to say how far the map is right; default: 0"
 OUT = "folder of the map; captures in it are resumed, and used again for other places"
 
@@ -22,8 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out DIR", OUT, Path, required=True)
     add("--height METRES", "a grid in free air at this height; default: upward surfaces", float, dest="height_m")
     add("--spacing METRES", SPACING, float, dest="spacing_m")
-    add("--clearance METRES", "of a place above its surface; default: 0.1", float, dest="clearance_m", default=0.1)
-    add("--reach METRES", "farthest from the camera that a place may be", float, dest="reach_m", default=5.0)
+    add(
+        "--clearance METRES",
+        "height of a place above its surface; default: 0.1",
+        float,
+        dest="clearance_m",
+        default=0.1,
+    )
+    add("--reach METRES", "largest distance of a place from the camera", float, dest="reach_m", default=5.0)
     add("--places N", PLACES, int, dest="most", default=1000)
     add("--verify N", VERIFY, int, dest="n_verified", default=0)
     arguments.add_capture(add)

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     target = "light that published clients get: clipped at white (ldr, as in the paper) or all of it (hdr)"
     add("--target", target, choices=("ldr", "hdr"), default="ldr")
     add("--sizes N,M", SIZES, whole_numbers, default=PUBLISHED_SIZES)
-    add("--expire SECONDS", "forget a session that was idle for so long", float, default=StoreLimits.idle_s)
+    add("--expire SECONDS", "forget a session that was idle for this long", float, default=StoreLimits.idle_s)
     add("--sessions N", "sessions that may be open at a time", int, default=StoreLimits.n_sessions)
     store = f"keep sessions in Redis, redis://HOST:PORT/DB, which outlives the server; or the variable {STORE_VARIABLE}"
     add("--store URL", store)

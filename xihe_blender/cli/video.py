@@ -11,7 +11,7 @@ from xihe_blender.cli import arguments
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
-    add("folder DIR", "of a run that is done; gets side_by_side.mp4, and a picture of each compared frame", Path)
+    add("folder DIR", "folder of a finished run; gets side_by_side.mp4, and a picture of each compared frame", Path)
     add("--method NAME", "what is shown beside the ground truth: ambient, truth or, by default, the run's estimator")
 
 
