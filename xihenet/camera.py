@@ -308,15 +308,6 @@ def sees_through(points_m: ArrayLike, frame: RgbdFrame) -> ArrayBool:
     return result
 
 
-def ray_distance_from_plane_depth(plane_depth_m: ArrayLike, intrinsics: Intrinsics) -> ArrayF32:
-    """(H, W) distances along each pixel's ray from those along the optical axis; invalid values stay as they are."""
-    across, up = (slopes.astype(np.float64) for slopes in _ray_slopes(intrinsics))
-    per_metre = np.sqrt(1 + across**2 + up[:, None] ** 2).astype(np.float32)
-    with np.errstate(over="ignore"):  # Only what is a miss already can leave the range of float32.
-        distance_m: ArrayF32 = np.asarray(plane_depth_m, np.float32) * per_metre
-    return distance_m
-
-
 def encode_exposed(radiance: ArrayLike, exposure: float) -> ArrayU8:
     """8-bit sRGB of linear radiance as a phone delivers it: times `exposure`, clipped to [0, 1], encoded, rounded.
 

@@ -9,9 +9,9 @@ import pytest
 from addon_tests.pure.furnished import as_measured, furniture, seen, walk_poses
 from addon_tests.pure.made import UPRIGHT, about_z, pose_of
 from addon_tests.pure.recordings import looking
-from xihenet.camera import ray_distance_from_plane_depth
-from xihenet.captures.conventions import fits, suspect
-from xihenet.captures.self_fit import AS_READ
+from xihenet.camera import pixel_rays
+from xihenet.captures.conventions import suspect
+from xihenet.captures.self_fit import AS_READ, Recording
 from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA, BLENDER_FROM_UP
 
 
@@ -22,7 +22,8 @@ def transposed(pose):
 
 
 def as_ray_distance(frame):
-    return replace(frame, plane_depth_m=ray_distance_from_plane_depth(frame.plane_depth_m, frame.intrinsics))
+    per_metre = np.linalg.norm(pixel_rays(frame.intrinsics), axis=-1)
+    return replace(frame, plane_depth_m=frame.plane_depth_m * per_metre.astype(np.float32))
 
 
 def posed(change):
@@ -155,7 +156,7 @@ def test_a_camera_that_only_pitches_looks_the_same_with_either_axes():
     frames = [seen(pose, boxes, number) for number, pose in enumerate(poses)]
     turned = [WRONG["camera axes", AS_READ](frame) for frame in frames]
     assert suspect(frames) is None and suspect(turned) is None
-    assert fits(turned)[AS_READ, AS_READ].share > 0.95
+    assert Recording(turned, None, False).fit(AS_READ, AS_READ).share > 0.95
 
 
 def test_frames_that_share_nothing_in_a_square_room_are_not_accused():
@@ -163,7 +164,7 @@ def test_frames_that_share_nothing_in_a_square_room_are_not_accused():
     flat = replace(right(0)[0], plane_depth_m=np.full((48, 64), 2.0))
     poses = [pose_of(about_z(np.pi / 2 * quarter + 1e-3) @ UPRIGHT) for quarter in range(4)]
     frames = [replace(flat, world_from_camera=pose) for pose in poses]
-    assert fits(frames)["transposed", AS_READ].share > 0.9  # Which is the trap.
+    assert Recording(frames, None, False).fit("transposed", AS_READ).share > 0.9  # Which is the trap.
     assert suspect(frames) is None
 
 

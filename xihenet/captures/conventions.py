@@ -14,7 +14,7 @@ factor than 5 or a power of ten: one of 4 is taken for 5, and one of 12 for 10.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from xihenet.captures.self_fit import AS_READ, DEPTHS, POSES, Fit, Recording
@@ -118,9 +118,3 @@ def _sentence(poses: str, depth: str, share: float, share_as_read: float, axes: 
     claims = ", and ".join([said[0][0], *(claim[0].lower() + claim[1:] for claim, _ in said[1:])]).format(axes=axes)
     fix = said[0][1] if len(said) == 1 else "with both put right they fit"
     return f"{claims}: {fix} {share:.0%} of the surfaces seen twice, as read {share_as_read:.0%}.".replace("%", " %")
-
-
-def fits(frames: Iterable[RgbdFrame]) -> Mapping[tuple[str, str], Fit]:
-    """How well a recording fits itself under each convention of POSES with each of DEPTHS; for people."""
-    recording = Recording(frames, None, False)
-    return {(poses, depth): recording.fit(poses, depth) for poses in POSES for depth in DEPTHS}
