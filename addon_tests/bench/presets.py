@@ -51,12 +51,7 @@ def measured(file, folder, effort, seed):
             choices = [RenderCandidate(choice, name) for name, choice in prepared.presets.items()]
             exhaustive = RenderChoice(plan.size, effort.reference_samples)
             renders = RenderStudy(
-                **vars(study),
-                scanner=scanner,
-                capture=capture,
-                views=views,
-                choices=choices,
-                exhaustive=exhaustive,
+                **vars(study), scanner=scanner, capture=capture, views=views, choices=choices, exhaustive=exhaustive
             )
             nothing = dict.fromkeys(COMPUTED_BY, 0.0)
             alone, _ = run_blocking(measure_rendering(renders, nothing))

@@ -10,16 +10,7 @@ import numpy as np
 import pytest
 from effect_scenes import mirror
 from renders import captured, rendered
-from tiny_scenes import (
-    box,
-    empty_scene,
-    material,
-    orthographic,
-    phone,
-    room_with_a_virtual_sphere,
-    set_world,
-    sphere,
-)
+from tiny_scenes import box, empty_scene, material, orthographic, phone, room_with_a_virtual_sphere, set_world, sphere
 
 from addon_tests.pure.made import constant
 from xihe_blender.apply.applied_lights import lights_of_scene

@@ -13,12 +13,7 @@ from tiny_scenes import opened, saved
 
 from xihe_blender.addon.placement_map import Squares, format_place
 from xihe_blender.apply.datablocks import placement_map
-from xihe_blender.apply.placement_map import (
-    MapOf,
-    remove_placement_map,
-    show_placement_map,
-    shown_place,
-)
+from xihe_blender.apply.placement_map import MapOf, remove_placement_map, show_placement_map, shown_place
 from xihe_blender.io.placement_results import Place, error_range
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.placement import PlacementSettings, placement

@@ -291,10 +291,7 @@ RECORD3D = {
     "times that go back": (metadata(frameTimestamps=[5.0, 4.0, 6.0]), NOTE + "Times go back once"),
     "milliseconds": (metadata(frameTimestamps=[0, 33, 67]), NOTE + "though a picture comes every 33.5 s"),
     "times that are not known": (metadata(frameTimestamps=None), READ),
-    "depth in millimetres": (
-        member(DEPTH, packed(np.full(64 * 48, 2000, "<f4").tobytes())),
-        READ,
-    ),
+    "depth in millimetres": (member(DEPTH, packed(np.full(64 * 48, 2000, "<f4").tobytes())), READ),
     "depth beyond all numbers": (member(DEPTH, packed(np.full(64 * 48, np.inf, "<f4").tobytes())), READ),
     "up is not known": (metadata(initPose=None), NOTE + "Which way is up is not given"),
 }
@@ -413,9 +410,7 @@ def gone(name):
 
 POLYCAM = {
     **of_pictures(
-        f"keyframes/corrected_images/{STEM}.jpg",
-        f"keyframes/depth/{STEM}.png",
-        f"keyframes/confidence/{STEM}.png",
+        f"keyframes/corrected_images/{STEM}.jpg", f"keyframes/depth/{STEM}.png", f"keyframes/confidence/{STEM}.png"
     ),
     "a camera is empty": (put(CAMERA, ""), "expected JSON"),
     "a camera is garbage": (put(CAMERA, GARBAGE), "expected JSON"),

@@ -6,12 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from addon_tests.pure.made import frame_of, pose_of, random_rotation
-from xihenet.camera import (
-    in_view,
-    part_around,
-    project_points,
-    unproject_frame,
-)
+from xihenet.camera import in_view, part_around, project_points, unproject_frame
 from xihenet.colour import srgb_to_linear
 from xihenet.records import Intrinsics
 from xihenet.sampling import sample_unit_sphere

@@ -111,8 +111,7 @@ def test_a_position_out_of_view_learns_where_it_is_told_to_and_changes_its_light
     assert report.decision.reason == "coverage" and report.estimate.coverage == merge(*seen).is_set.mean()
     assert controller.out_of_view_ms == {}
     np.testing.assert_array_equal(
-        report.estimate.sh_radiance,
-        estimators.load("projection", N).estimate(merge(merge(*seen), seen[0])),
+        report.estimate.sh_radiance, estimators.load("projection", N).estimate(merge(merge(*seen), seen[0]))
     )
 
 

@@ -6,15 +6,7 @@ import pytest
 from addon_tests.pure.made import random_cloud
 from xihenet.buffers import merge
 from xihenet.edge.metrics import Metrics
-from xihenet.edge.sessions import (
-    SeenPosition,
-    StoreFull,
-    StoreLimits,
-    hash_of,
-    joined,
-    new_session,
-    new_token,
-)
+from xihenet.edge.sessions import SeenPosition, StoreFull, StoreLimits, hash_of, joined, new_session, new_token
 from xihenet.edge.sharing import re_exposed, with_others
 from xihenet.records import UnitSphereCloud
 from xihenet.sampling import sample_again

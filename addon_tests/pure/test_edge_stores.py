@@ -21,12 +21,7 @@ from xihenet.edge.sessions import (
     new_session,
     new_token,
 )
-from xihenet.edge.stored import (
-    position_from_bytes,
-    position_to_bytes,
-    session_from_bytes,
-    session_to_bytes,
-)
+from xihenet.edge.stored import position_from_bytes, position_to_bytes, session_from_bytes, session_to_bytes
 from xihenet.records import AnchorSurfaces, KeyLight, UnitSphereCloud
 
 NEEDS_REDIS = pytest.mark.wheel_only("a whole Blender has no redis-py")

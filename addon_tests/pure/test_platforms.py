@@ -10,14 +10,7 @@ import numpy as np
 import pytest
 
 from xihenet.light.key_light import sh_of_key_light
-from xihenet.light.platforms import (
-    PLATFORMS,
-    coefficients_for,
-    convention_of,
-    in_axes,
-    main_light_for,
-    soft_light,
-)
+from xihenet.light.platforms import PLATFORMS, coefficients_for, convention_of, in_axes, main_light_for, soft_light
 from xihenet.records import KeyLight, ObjectLight
 from xihenet.sh import irradiance
 from xihenet.sh_basis import basis

@@ -36,11 +36,7 @@ TARGETS = (
 LIGHT_PARTS = (
     ("auto", "As Objects Need", "A key light with its shadow, and reflections if a virtual object is shiny"),
     ("sh", "Soft Light", "All of it as spherical harmonics: light without a sharp shadow"),
-    (
-        "sh+key",
-        "Soft Light and Key Light",
-        "The dominant light as a sun with a shadow, the rest as soft light",
-    ),
+    ("sh+key", "Soft Light and Key Light", "The dominant light as a sun with a shadow, the rest as soft light"),
     (
         "sh+key+reflections",
         "Soft Light, Key Light and Reflections",

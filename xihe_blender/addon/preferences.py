@@ -34,10 +34,7 @@ class XihePreferences(bpy.types.AddonPreferences):
         default=number_of(DEFAULT_PHONE),
     )
     phone_file: bpy.props.StringProperty(
-        name="Phone File",
-        description="TOML file that describes the phone",
-        subtype="FILE_PATH",
-        update=path_chosen,
+        name="Phone File", description="TOML file that describes the phone", subtype="FILE_PATH", update=path_chosen
     )
     cache_folder: bpy.props.StringProperty(
         name="Runs Folder",

@@ -145,9 +145,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         name="Light", description="What the virtual objects are given of an estimate", items=choices.LIGHT_PARTS
     )
     use_own_frames: bpy.props.BoolProperty(
-        name="Own Frames",
-        description="Run on frames other than the scene's range and step",
-        update=_own_frames_wanted,
+        name="Own Frames", description="Run on frames other than the scene's range and step", update=_own_frames_wanted
     )
     frame_start: bpy.props.IntProperty(
         name="Start", description="First frame of the camera path", default=1, min=-LAST_FRAME, max=LAST_FRAME

@@ -132,9 +132,7 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
     conditions = (polls.leaves_the_file, polls.has_last_run)
 
     target: bpy.props.EnumProperty(
-        name="Engine",
-        description="Engine or file format that the light is written for",
-        items=choices.platform_items,
+        name="Engine", description="Engine or file format that the light is written for", items=choices.platform_items
     )
 
     def act(self, context: bpy.types.Context) -> str:

@@ -47,11 +47,7 @@ from xihe_blender.apply.lit_scene import (
 )
 from xihe_blender.apply.lit_timeline import apply_lights, key_object_light, light_of, reflected_of
 from xihe_blender.apply.placement_map import remove_placement_map
-from xihe_blender.apply.sh_worlds import (
-    make_sh_world,
-    remove_applied_light,
-    remove_trigger_markers,
-)
+from xihe_blender.apply.sh_worlds import make_sh_world, remove_applied_light, remove_trigger_markers
 from xihe_blender.compare.side_by_side import middle_of_change, read_picture, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs

@@ -20,12 +20,7 @@ import bpy
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihe_blender.apply.datablocks import (
-    MARKER_PREFIX,
-    NODE_GROUP_NAME,
-    lights_by_sh,
-    trigger_markers,
-)
+from xihe_blender.apply.datablocks import MARKER_PREFIX, NODE_GROUP_NAME, lights_by_sh, trigger_markers
 from xihe_blender.apply.keys import add_keys, clear_keys, f_curves, hold_keys, remove_animation
 from xihe_blender.scene.colour_management import in_working_space
 from xihenet.sh import dering_for_display

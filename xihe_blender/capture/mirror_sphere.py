@@ -60,10 +60,7 @@ class MirrorSphere:
 def open_mirror_sphere(scene: bpy.types.Scene, settings: RenderSettings) -> Iterator[MirrorSphere]:
     """A mirror sphere in the room of `scene`, virtual objects left out, seen in a picture `FINER` than `settings`."""
     width, height = (round(FINER * side) for side in settings.size)
-    with (
-        working_room(scene, NAME, replace(settings, size=(width, height))) as working,
-        contextlib.ExitStack() as stack,
-    ):
+    with working_room(scene, NAME, replace(settings, size=(width, height))) as working, contextlib.ExitStack() as stack:
         mesh = sphere_mesh(NAME, RADIUS_M / metres_per_unit(scene), 128, 64)
         stack.callback(bpy.data.meshes.remove, mesh)
         material = rig_material(NAME, RIG_LOOKS[MIRROR])

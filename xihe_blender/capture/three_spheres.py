@@ -63,10 +63,7 @@ def open_three_spheres(
 
     Other `looks`, inputs of the shader by name, take the place of the three, in their order; all are white.
     """
-    with (
-        working_room(scene, NAME, replace(settings, size=(size, size))) as working,
-        contextlib.ExitStack() as stack,
-    ):
+    with working_room(scene, NAME, replace(settings, size=(size, size))) as working, contextlib.ExitStack() as stack:
         working.timeline_markers.clear()  # Those that switch the camera would take this one's place.
         radius = RADIUS_M / metres_per_unit(scene)
         mesh = sphere_mesh(NAME, radius, 128, 64)

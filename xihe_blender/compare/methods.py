@@ -23,12 +23,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX
-from xihe_blender.apply.key_suns import (
-    apply_key_to_sun,
-    make_key_sun,
-    remove_key_sun,
-    show_in_reflections,
-)
+from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, remove_key_sun, show_in_reflections
 from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene, show_only_in
 from xihe_blender.apply.reflection_pictures import forget_reflections, has_sun_for_lamp, reflect_in_world
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world, remove_unused_node_group

@@ -97,10 +97,7 @@ def panorama_of_change(change: LightChange, folder: Path, exposure: float) -> Ar
     return laid_out_as_ours(np.maximum(picture.astype(np.float64), 0.0) * exposure, "+X")
 
 
-UNITS = {
-    "picture": "radiance; 1 is white in the phone's picture",
-    "scene": "radiance of the scene in Blender",
-}
+UNITS = {"picture": "radiance; 1 is white in the phone's picture", "scene": "radiance of the scene in Blender"}
 
 
 @dataclass(frozen=True)

@@ -80,10 +80,7 @@ def make_lit_scene(
 
 
 def save_lit_blend(
-    scene: bpy.types.Scene,
-    objects: Sequence[bpy.types.Object],
-    surfaces: Mapping[str, Sequence[Surface]],
-    path: Path,
+    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], surfaces: Mapping[str, Sequence[Surface]], path: Path
 ) -> None:
     """Save a copy of the open file as `path`, in the run's folder, with the scene `Xihe Lit` in it.
 

@@ -153,9 +153,7 @@ class Session:
 
     def __init__(self, study: RenderStudy, walk: Walk, frame: int, estimator: str, light: LightParts = "sh") -> None:
         settings = PrevisSettings(
-            seed=study.settings.seed,
-            light=light,
-            trigger=replace(PREVIS_TRIGGER, theta=0.0, coverage_theta=0.0),
+            seed=study.settings.seed, light=light, trigger=replace(PREVIS_TRIGGER, theta=0.0, coverage_theta=0.0)
         )
         self.plan = study.plan
         of_choice = estimators.load(estimator, settings.n_anchors, settings.target)

@@ -43,13 +43,7 @@ from xihe_blender.lab.frontier.records import (
     RenderChoice,
     StudySize,
 )
-from xihe_blender.lab.frontier.rendering import (
-    RenderStudy,
-    SceneStudy,
-    kept_capture,
-    kept_or_done,
-    measure_rendering,
-)
+from xihe_blender.lab.frontier.rendering import RenderStudy, SceneStudy, kept_capture, kept_or_done, measure_rendering
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.timing import median_and_spread
 from xihe_blender.light_transport import cycles_settings
