@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -231,13 +232,18 @@ def counted(value: float, n: int = 1) -> Measured:
     return Measured(value, value, value, n)
 
 
-def ratio_of_means(pairs: NDArray[Any]) -> float:
-    """A `statistic` of cases (N, 2): the mean of the first over that of the second."""
-    first, second = pairs.mean(axis=0)
-    return float(first / second)
+def measured_ratio(
+    first: ArrayLike,
+    second: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    groups: Sequence[Hashable] | None = None,
+    average: Callable[..., NDArray[Any]] = np.mean,
+) -> Measured:
+    """`measured` of the average of `first` over that of `second`, case by case the same; medians are for times."""
+    return measured(np.column_stack([first, second]), rng, groups=groups, statistic=partial(_ratio, average))
 
 
-def ratio_of_medians(pairs: NDArray[Any]) -> float:
-    """As `ratio_of_means`, for times."""
-    first, second = np.median(pairs, axis=0)
+def _ratio(average: Callable[..., NDArray[Any]], pairs: NDArray[Any]) -> float:
+    first, second = average(pairs, axis=0)
     return float(first / second)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from xihe_blender.lab.paper.clouds import walked, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet import estimators
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt
@@ -68,11 +68,10 @@ def effect_on_light(sessions: Sequence[Session], options: StudyOptions) -> Itera
     steady = with_truth(sessions)
     if not steady:
         return
-    exact = np.array(_errors(steady, "exact", TABLES[0]))
+    exact = _errors(steady, "exact", TABLES[0])
     rooms = [session.name for session in steady for _ in session.places]
     for size in TABLES:
-        pairs = np.stack([_errors(steady, "table", size), exact], axis=1)
-        found = measured(pairs, options.rng, groups=rooms, statistic=ratio_of_means)
+        found = measured_ratio(_errors(steady, "table", size), exact, options.rng, groups=rooms)
         what = f"SHC RMSE of projection by table {size[0]}x{size[1]} over that without"
         cases, is_detail = of_rooms("places", rooms), size != TABLES[1]
         yield Row(what, "times", *found, "cannot be compared", LIGHT, cases=cases, is_detail=is_detail)

@@ -8,7 +8,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import View, views, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet import estimators
 from xihenet.metrics import shc_rmse
 from xihenet.records import UnitSphereCloud
@@ -45,9 +45,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             what, is_detail = f"{n} anchors: {name}", n not in QUICK_SIZES
             yield Row(what, "SHC RMSE", *of_all, "other data", ERROR, paper, cases, name, n, is_detail)
         if {512, 2048} <= errors.keys():
-            of_all = measured(
-                np.stack([errors[2048], errors[512]], axis=1), rng, groups=rooms, statistic=ratio_of_means
-            )
+            of_all = measured_ratio(errors[2048], errors[512], rng, groups=rooms)
             paper = PAPER_RMSE[2048] / PAPER_RMSE[512] if name == "xihenet" else None
             yield Row(f"{name}, error of 2048 over 512", "times", *of_all, "other data", ERROR, paper, cases)
 

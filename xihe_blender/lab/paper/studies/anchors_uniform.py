@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import views, walked, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, ArrayInt
 from xihenet.sh import project_anchors
@@ -106,8 +106,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             WHOLE,
             cases=of_rooms("places", rooms),
         )
-    pairs = np.stack([_errors(steady, ANCHORS["grid"]), _errors(steady, ANCHORS["even"])], axis=1)
-    ratio = measured(pairs, rng, groups=rooms, statistic=ratio_of_means)
+    ratio = measured_ratio(_errors(steady, ANCHORS["grid"]), _errors(steady, ANCHORS["even"]), rng, groups=rooms)
     yield Row(
         "grid over even, error of the walk",
         "times",

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_medians
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio
 from xihenet.edge.batching import Inference
 from xihenet.edge.bench import PAPER_MS, server_times_ms
 
@@ -29,8 +29,7 @@ def measure(_sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row
                     found = measured(times[n][step], rng, statistic=np.median)
                     what = f"{step}{of_network}: {n} anchors, median"
                     yield Row(what, "ms", *found, "other machine", TIME, paper, "calls", *drawn)
-        pairs = np.stack([times[2048]["inference"], times[512]["inference"]], axis=1)
-        found = measured(pairs, rng, statistic=ratio_of_medians)
+        found = measured_ratio(times[2048]["inference"], times[512]["inference"], rng, average=np.median)
         what = f"inference of {name}, 2048 anchors over 512"
         yield Row(what, "times", *found, "other machine", GROWTH, PAPER_MS[2048][2] / PAPER_MS[512][2], "calls")
 

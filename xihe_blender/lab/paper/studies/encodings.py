@@ -17,8 +17,8 @@ from xihe_blender.lab.paper.records import (
     Work,
     counted,
     measured,
+    measured_ratio,
     of_rooms,
-    ratio_of_means,
 )
 from xihenet.codec import METHODS, EncodingMethod, encode_cloud
 from xihenet.edge.bench import times_ms
@@ -57,8 +57,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         yield Row(f"{method}: mean", "bytes", *of_all, work, sentence, paper_bytes, of_rooms("clouds", rooms))
         ms[method] = [float(np.median(times_ms(partial(encode_cloud, cloud, method), 20))) for cloud in clouds]
         yield Row(f"{method}: mean time", "ms", *measured(ms[method], rng), "other machine", TIME, paper_ms, "clouds")
-    pairs = np.stack([ms["uint8_float16"], ms["uint8_float16_stripped"]], axis=1)
-    ratio = measured(pairs, rng, statistic=ratio_of_means)
+    ratio = measured_ratio(ms["uint8_float16"], ms["uint8_float16_stripped"], rng)
     yield Row("uint8_float16 over its stripped form, time", "times", *ratio, "other machine", FASTER, 1.67, "clouds")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import View, views, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet import estimators
 from xihenet.edge.batching import Inference, Job
 from xihenet.edge.bench import random_cloud, times_ms
@@ -52,7 +52,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         yield Row(f"{name}: error", "SHC RMSE", *of_all, "other data", ERROR, PAPER.get(name), cases)
     for name, each in errors.items():
         if name != MEAN:
-            over = measured(np.stack([each, of_mean], axis=1), rng, groups=rooms, statistic=ratio_of_means)
+            over = measured_ratio(each, of_mean, rng, groups=rooms)
             paper = PAPER[name] / PAPER[MEAN] if name in PAPER else None
             yield Row(f"{name}: over the mean predictor", "times", *over, "other data", RATIO, paper, cases)
     spread = measured([run.mean() for run in drawn], rng, statistic=np.std)

@@ -17,7 +17,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import views, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio
 from xihenet import estimators
 from xihenet.camera import unproject_frame
 from xihenet.completeness import ENTROPY_SIZES, joint_entropy
@@ -202,8 +202,8 @@ def _as_the_paper(of_views: Sequence[dict[str, float]], found: Sequence[Scan], o
         rooms, sentence = [scan.room for scan in scanned], GAIN + (DEEP if chosen is quarter else FITTED)
         yield from _gains(name, some, scanned, options, sentence, has_paper=True)
         for other, paper in PER_CENT.items():
-            pairs = np.array([[one["sphere"], one[other]] for one in some])
-            ratio = measured(pairs, options.rng, groups=rooms, statistic=ratio_of_means)
+            both = [one["sphere"] for one in some], [one[other] for one in some]
+            ratio = measured_ratio(*both, options.rng, groups=rooms)
             what = f"{name}: entropy over that of {WORDS[other]}"
             yield Row(what, "times", *ratio, "other data", sentence, 1 + paper / 100, "views")
     bits, rooms = [one["whole"] for one in of_views], [scan.room for scan in found]

@@ -8,7 +8,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import views
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_medians
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio
 from xihenet.codec import encode_cloud
 from xihenet.edge.batching import Inference
 from xihenet.phone import LINKS
@@ -75,7 +75,7 @@ def _over_loopback(options: StudyOptions) -> Iterator[Row]:
 
 def _ratio(name: str, four: ArrayF64, one: ArrayF64, rng: np.random.Generator, cases: str, paper: float | None) -> Row:
     n = min(len(four), len(one))
-    found = measured(np.stack([four[:n], one[:n]], axis=1), rng, statistic=ratio_of_medians)
+    found = measured_ratio(four[:n], one[:n], rng, average=np.median)
     sentence = LINK if cases == "requests" else f"{LOOPBACK} {RATIO}"
     return Row(f"{name}: four positions over one", "times", *found, "cannot be compared", sentence, paper, cases)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, ratio_of_medians
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio
 from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
@@ -40,8 +40,7 @@ def measure(_sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row
         found = measured(ms, options.rng, statistic=np.median)
         yield Row(f"{stage}: median", "ms", *found, "other machine", TIME, paper[stage], "frames")
     for stage in PAPER_MS:
-        pairs = np.stack([times[stage], times[WHOLE]], axis=1)
-        found = measured(pairs, options.rng, statistic=ratio_of_medians)
+        found = measured_ratio(times[stage], times[WHOLE], options.rng, average=np.median)
         of_paper = paper[stage] / paper[WHOLE]
         yield Row(f"{stage}: of all five", "of the time", *found, "other machine", SHARE, of_paper, "frames")
 

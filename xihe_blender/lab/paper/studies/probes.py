@@ -10,7 +10,7 @@ import numpy as np
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_picture
 from xihe_blender.lab.paper.clouds import View, views, walked, with_truth
-from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms, ratio_of_means
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext
@@ -68,8 +68,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         of_all = measured(pictures[method], options.rng, groups=rooms)
         yield Row(f"{method}: picture", "sRGB RMSE", *of_all, "cannot be compared", PICTURE, cases=cases)
     for other in (SPHERE, AMBIENT):
-        pairs = np.stack([errors[WALK], errors[other]], axis=1)
-        over = measured(pairs, options.rng, groups=rooms, statistic=ratio_of_means)
+        over = measured_ratio(errors[WALK], errors[other], options.rng, groups=rooms)
         yield Row(f"{WALK} over {other}, light", "times", *over, "cannot be compared", TIMES, cases=cases)
 
 
