@@ -268,22 +268,6 @@ def test_a_file_of_the_users_is_not_written_over(tmp_path, name):
     assert (tmp_path / name).read_text() == "mine"
 
 
-SENSELESS = {
-    "exposure": (-1.0, 0.0, float("nan"), float("inf")),
-    "metering": ("spot",),
-    "seed": (-1, 2**31),
-    "frames": ((), (0, 1)),
-    "objects": ((), ("Nobody",)),
-}
-
-
-@pytest.mark.parametrize("change", [{name: value} for name, values in SENSELESS.items() for value in values], ids=str)
-def test_senseless_settings_are_refused_before_anything_is_written(tmp_path, change):
-    with pytest.raises(UserError):
-        run(walk(), tmp_path / "out", replace(SMALL, **change))
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_path_that_never_sees_a_position_gives_results_and_a_report(tmp_path):
     scene = room_with_a_virtual_sphere(2)
     for frame in (1, 2):

@@ -209,6 +209,8 @@ def test_what_is_undefined_is_a_dash_or_a_gap(tmp_path):
 @pytest.mark.parametrize(
     "wrong",
     [
+        "{",
+        "[]",
         {"schema_version": 2},
         {"settings": None},
         {"frames": [runs.frame(1, runs.probe(sh=None))]},
@@ -220,9 +222,11 @@ def test_what_is_undefined_is_a_dash_or_a_gap(tmp_path):
 )
 def test_what_no_run_leaves_is_refused_when_it_is_read(tmp_path, wrong):
     file = tmp_path / "results.json"
+    with pytest.raises(UserError, match="cannot be read"):
+        read_results(tmp_path)
     write_json(file, runs.content())
     assert read_results(tmp_path) == runs.results()
-    file.write_text(json.dumps(runs.content() | wrong))
+    file.write_text(wrong if isinstance(wrong, str) else json.dumps(runs.content() | wrong))
     with pytest.raises(UserError, match="is not from a run of this version"):
         read_results(tmp_path)
 
