@@ -36,7 +36,7 @@ MODULES = (
 def register(package: str) -> None:
     """Register everything; `package` is the name by which Blender knows the add-on, for its preferences."""
     modules = _modules()
-    importlib.import_module(f"{__name__}.preferences").set_package(package)
+    importlib.import_module(f"{__name__}.preferences").XihePreferences.bl_idname = package
     for place, module in enumerate(modules):
         try:
             module.register()

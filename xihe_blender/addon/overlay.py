@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import bpy
@@ -173,24 +174,16 @@ def colour_of(coverage: float | None) -> Colour:
 
 
 def draw_disc(x: float, y: float, colour: Colour) -> None:
-    """A filled disc with a dark rim, as triangles."""
+    """A filled disc with a dark rim."""
     import gpu
-    from gpu_extras.batch import batch_for_shader
 
     scale = bpy.context.preferences.system.ui_scale
-    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
-    gpu.state.blend_set("ALPHA")
-    for radius, paint in ((RADIUS_PX + 1.5, RIM), (RADIUS_PX, colour)):
-        corners = disc_corners(x, y, radius * scale)
-        triangles = [(0, k, k + 1) for k in range(1, len(corners) - 1)]
-        shader.uniform_float("color", paint)
-        batch_for_shader(shader, "TRIS", {"pos": corners}, indices=triangles).draw(shader)
-    gpu.state.blend_set("NONE")
-
-
-def disc_corners(x: float, y: float, radius: float) -> list[tuple[float, float]]:
     turns = [2 * math.pi * k / N_CORNERS for k in range(N_CORNERS)]
-    return [(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
+    gpu.state.blend_set("ALPHA")
+    for radius, paint in (((RADIUS_PX + 1.5) * scale, RIM), (RADIUS_PX * scale, colour)):
+        first, *others = [(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
+        draw_triangles([corner for pair in pairwise(others) for corner in (first, *pair)], paint)
+    gpu.state.blend_set("NONE")
 
 
 def draw_label(x: float, y: float, text: str, taken: list[Box]) -> None:

@@ -72,11 +72,6 @@ class XihePreferences(bpy.types.AddonPreferences):
             split.label(text=f"In {runs_folder()}", translate=False)
 
 
-def set_package(package: str) -> None:
-    """Say by which name Blender knows the add-on; before it is registered."""
-    XihePreferences.bl_idname = package
-
-
 def preferences(context: bpy.types.Context) -> XihePreferences | None:
     """The user's preferences; None where the add-on is not enabled, as in a script that registered it by itself."""
     addon = context.preferences.addons.get(XihePreferences.bl_idname)

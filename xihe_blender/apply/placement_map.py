@@ -80,7 +80,8 @@ def show_placement_map(
     best, worst = tuple(order[:N_EXTREMES]), tuple(order[::-1][:N_EXTREMES])
     mesh[MAP] = json.dumps(asdict(MapOf(str(folder), spacing_m, clearance_m, error_range(places), best, worst)))
     item = bpy.data.objects.new(NAME, mesh)
-    _hide_from_renders(item)
+    item.hide_render = True
+    show_to_camera_alone(item)  # A rendered view shows what is not hidden in the view, and would be lit by it.
     scene.collection.objects.link(item)
     return item
 
@@ -109,12 +110,6 @@ def _material() -> bpy.types.Material:
     links.new(attribute.outputs["Color"], emission.inputs["Color"])
     links.new(emission.outputs["Emission"], output.inputs["Surface"])
     return material
-
-
-def _hide_from_renders(item: bpy.types.Object) -> None:
-    item.hide_render = True
-    # A rendered view shows what is not hidden in the view, and would be lit by it.
-    show_to_camera_alone(item)
 
 
 def remove_placement_map() -> None:
