@@ -198,7 +198,7 @@ def measured(
     rng: np.random.Generator,
     *,
     groups: Sequence[Hashable] | None = None,
-    statistic: Callable[[NDArray[Any]], float] = np.mean,
+    statistic: Callable[[NDArray[Any]], Any] = np.mean,
 ) -> Measured:
     """`statistic` of the N cases, rows of an array, and its interval by bootstrap.
 

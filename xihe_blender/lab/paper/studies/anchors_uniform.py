@@ -87,34 +87,20 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     lights = [place.true_ldr for session in steady for place in session.places]
     for name, lattice in ANCHORS.items():
         spread = measured(own[name], rng, statistic=relative_spread)
-        yield Row(
-            f"{name}: spread of area over mean", "of the mean", *spread, "cannot be compared", AREA, cases="anchors"
-        )
+        what = f"{name}: spread of area over mean"
+        yield Row(what, "of the mean", *spread, "cannot be compared", AREA, cases="anchors")
         clouds = [view.cloud(lattice) for view in found]
         off = [100 * abs(cloud.is_set.mean() - own[name][cloud.is_set].sum()) for cloud in clouds]
         wrong = measured(off, rng, groups=seen_in)
         what = f"{name}: share of set anchors off the share of the sphere"
-        yield Row(
-            what, "percentage points", *wrong, "cannot be compared", COMPLETENESS, cases=of_rooms("views", seen_in)
-        )
+        cases = of_rooms("views", seen_in)
+        yield Row(what, "percentage points", *wrong, "cannot be compared", COMPLETENESS, cases=cases)
         errors = measured([shc_rmse(equally_weighted(one, lattice), one) for one in lights], rng, groups=rooms)
-        yield Row(
-            f"{name}: all seen, equal weights",
-            "SHC RMSE",
-            *errors,
-            "cannot be compared",
-            WHOLE,
-            cases=of_rooms("places", rooms),
-        )
+        what = f"{name}: all seen, equal weights"
+        yield Row(what, "SHC RMSE", *errors, "cannot be compared", WHOLE, cases=of_rooms("places", rooms))
     ratio = measured_ratio(_errors(steady, ANCHORS["grid"]), _errors(steady, ANCHORS["even"]), rng, groups=rooms)
-    yield Row(
-        "grid over even, error of the walk",
-        "times",
-        *ratio,
-        "cannot be compared",
-        ERROR,
-        cases=of_rooms("places", rooms),
-    )
+    what = "grid over even, error of the walk"
+    yield Row(what, "times", *ratio, "cannot be compared", ERROR, cases=of_rooms("places", rooms))
 
 
 def _errors(sessions: Sequence[Session], lattice: AnchorLattice) -> list[float]:

@@ -208,12 +208,8 @@ def _as_the_paper(of_views: Sequence[dict[str, float]], found: Sequence[Scan], o
             yield Row(what, "times", *ratio, "other data", sentence, 1 + paper / 100, "views")
     bits, rooms = [one["whole"] for one in of_views], [scan.room for scan in found]
     for words, share, paper in SPREADS:
-        spread = measured(bits, options.rng, groups=rooms, statistic=partial(_quantile, share))
+        spread = measured(bits, options.rng, groups=rooms, statistic=partial(np.quantile, q=share))
         yield Row(f"entropy of the whole cloud: {words}", "bits", *spread, "other data", SPREAD, paper, "views")
-
-
-def _quantile(share: float, bits: ArrayF64) -> float:
-    return float(np.quantile(bits, share))
 
 
 def against_accuracy(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:

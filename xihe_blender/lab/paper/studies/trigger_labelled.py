@@ -169,15 +169,8 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
             hits[name] = right(change[chosen], is_change, theta)
             how = f"its one theta {theta:g}" if name == OURS else "its best theta"
             paper = PAPER.get(name, (None, None))[1] if split == MIDDLE else None
-            yield Row(
-                f"{name} at {how}: split {split:.0%}",
-                "right",
-                *measured(hits[name], rng, groups=groups),
-                "other data",
-                FIXED if name == OURS else BEST,
-                paper,
-                "pairs",
-            )
+            of_all, sentence = measured(hits[name], rng, groups=groups), FIXED if name == OURS else BEST
+            yield Row(f"{name} at {how}: split {split:.0%}", "right", *of_all, "other data", sentence, paper, "pairs")
         for beside in (f"window {n}" for n in (4, *(n for n in WINDOWS if n != 4))):
             lead = measured(hits[OURS] - hits[beside], rng, groups=groups)
             what = f"{OURS} at its one theta minus {beside} at its best: split {split:.0%}"

@@ -184,24 +184,16 @@ def _of_theta(
     """The rows of the paper's table."""
     places = [number for number, (_, errors) in enumerate(walks) for _ in errors]
     every = np.concatenate([errors for _, errors in walks])
-    paper = PAPER.get(session.name, {}).get(theta) if rule == PAPERS else None
+    error, share = PAPER.get(session.name, {}).get(theta, (None, None)) if rule == PAPERS else (None, None)
     what = f"{session.name}, {rule}, theta {theta:g}"
     mean = measured(every, rng, groups=places)
-    of_paper, is_detail = paper or (None, None), rule == PAPERS and theta != THETA and session.name not in PAPER
-    yield Row(f"{what}: mean", "SHC RMSE", *mean, "other data", SESSION, of_paper[0], "frames", is_detail=is_detail)
+    is_detail = rule == PAPERS and theta != THETA and session.name not in PAPER
+    yield Row(f"{what}: mean", "SHC RMSE", *mean, "other data", SESSION, error, "frames", is_detail=is_detail)
     spread = measured(every, rng, groups=places, statistic=np.std)
     yield Row(f"{what}: spread", "SHC RMSE", *spread, "other data", SESSION, cases="frames", is_detail=True)
     shares = measured([(1 + fires) / len(errors) for fires, errors in walks], rng)
-    yield Row(
-        f"{what}: frames with an estimate",
-        "of all",
-        *shares,
-        "other data",
-        SESSION,
-        of_paper[1],
-        "places",
-        is_detail=is_detail,
-    )
+    what = f"{what}: frames with an estimate"
+    yield Row(what, "of all", *shares, "other data", SESSION, share, "places", is_detail=is_detail)
 
 
 def _ratio(name: str, curves: dict[str, NDArray[np.float64]], sentence: str, rng: np.random.Generator) -> Row:
