@@ -13,17 +13,7 @@ import bpy
 import numpy as np
 from staging import N_FRAMES, add_virtual, main, open_stage, walk_phone
 
-from xihe_blender.lab.props import Collection
-from xihe_blender.lab.props.furniture import (
-    add_bed,
-    add_bench,
-    add_cabinet,
-    add_chair,
-    add_curtain,
-    add_curtain_rod,
-    add_picture,
-    add_plant,
-)
+from xihe_blender.lab.props import Collection, furniture
 from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
 from xihe_blender.lab.props.room_shell import Opening, Room, add_shell
 from xihe_blender.lab.props.shapes import Place, add_solid, ball, box, box_between, joined, revolved
@@ -64,10 +54,12 @@ def add_sleeping_place(room: Collection) -> None:
     oak = wood("Oak", (0.26, 0.14, 0.065), (0.4, 0.23, 0.12))
     brass = plain("Brass", (0.75, 0.5, 0.2), metallic=1.0, roughness=0.3)
     linen, blanket = fabric("White linen", (0.7, 0.69, 0.66), contrast=0.05), fabric("Blanket", (0.35, 0.1, 0.08))
-    add_bed(Place(room, "Bed", 0.0, 0.88), 1.6, oak, linen, blanket)
+    furniture.add_bed(Place(room, "Bed", 0.0, 0.88), 1.6, oak, linen, blanket)
     for name, (x, y) in (("Left chest", LEFT_CHEST), ("Right chest", RIGHT_CHEST)):
-        add_cabinet(Place(room, name, x, y), (0.48, 0.42, CHEST_HEIGHT_M), oak, brass, doors=1)
-    add_bench(Place(room, "Bench", 0, -0.5), (1.2, 0.42, BENCH_HEIGHT_M), fabric("Bench cloth", (0.12, 0.22, 0.2)), oak)
+        furniture.add_cabinet(Place(room, name, x, y), (0.48, 0.42, CHEST_HEIGHT_M), oak, brass, doors=1)
+    furniture.add_bench(
+        Place(room, "Bench", 0, -0.5), (1.2, 0.42, BENCH_HEIGHT_M), fabric("Bench cloth", (0.12, 0.22, 0.2)), oak
+    )
     rug = carpet("Rug", (0.4, 0.36, 0.3), (0.12, 0.15, 0.2), (0.5, 0.42, 0.3))
     add_solid(room, "Rug", box_between((-1.4, -0.9, 0), (1.4, 0.9, 0.012)), rug, location=(0.0, -0.5, 0.0))
 
@@ -77,19 +69,19 @@ def add_rest(room: Collection, rng: np.random.Generator) -> None:
     oak, brass = bpy.data.materials["Oak"], bpy.data.materials["Brass"]
     black, white = plain("Picture frame", (0.02, 0.02, 0.02), roughness=0.4), bpy.data.materials["White lacquer"]
     lacquer = plain("Wardrobe lacquer", (0.5, 0.5, 0.47), roughness=0.35)
-    add_cabinet(Place(room, "Wardrobe", -1.81, -0.3, turn_deg=90), (1.7, 0.58, 2.15), lacquer, brass, doors=3)
+    furniture.add_cabinet(Place(room, "Wardrobe", -1.81, -0.3, turn_deg=90), (1.7, 0.58, 2.15), lacquer, brass, doors=3)
     stops = [(0.3, (0.6, 0.5, 0.35)), (0.45, (0.3, 0.12, 0.06)), (0.55, (0.1, 0.16, 0.2)), (0.7, (0.6, 0.56, 0.5))]
     for i, x in enumerate((-0.45, 0.45)):
         art = painting(f"Print {i + 1}", stops[i:] + stops[:i] if i == 0 else stops, scale=1.4 + i)
-        add_picture(Place(room, f"Picture {i + 1}", x, 1.9, 1.65), (0.5, 0.6), art, black, white)
+        furniture.add_picture(Place(room, f"Picture {i + 1}", x, 1.9, 1.65), (0.5, 0.6), art, black, white)
     velvet = curtain_cloth("Velvet", (0.16, 0.2, 0.3))
-    add_curtain_rod(Place(room, "Curtain rod", 2.0, -0.2, 2.28, 90), 2.3, black)
-    add_curtain(Place(room, "Curtain left", 2.0, 0.65, 2.28, 90), 0.5, 2.23, velvet, seed=1)
-    add_curtain(Place(room, "Curtain right", 2.0, -1.08, 2.28, 90), 0.5, 2.23, velvet, seed=2)
-    add_chair(Place(room, "Chair", 1.6, -1.4, turn_deg=-60), oak, fabric("Chair cloth", (0.4, 0.3, 0.18)))
+    furniture.add_curtain_rod(Place(room, "Curtain rod", 2.0, -0.2, 2.28, 90), 2.3, black)
+    furniture.add_curtain(Place(room, "Curtain left", 2.0, 0.65, 2.28, 90), 0.5, 2.23, velvet, seed=1)
+    furniture.add_curtain(Place(room, "Curtain right", 2.0, -1.08, 2.28, 90), 0.5, 2.23, velvet, seed=2)
+    furniture.add_chair(Place(room, "Chair", 1.6, -1.4, turn_deg=-60), oak, fabric("Chair cloth", (0.4, 0.3, 0.18)))
     leaves = foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
     clay, soil = plain("Grey pot", (0.3, 0.3, 0.29), roughness=0.7), plain("Soil", (0.03, 0.02, 0.015), roughness=1.0)
-    add_plant(Place(room, "Plant", -1.75, 1.5), leaves, clay, soil, rng, height=1.1, spread=0.35)
+    furniture.add_plant(Place(room, "Plant", -1.75, 1.5), leaves, clay, soil, rng, height=1.1, spread=0.35)
     books = [box((0.2, 0.14, 0.03), (0, 0, 0.015)), box((0.19, 0.13, 0.025)).turned(15).moved((0, 0, 0.043))]
     cover = plain("Book cloth", (0.07, 0.16, 0.25), roughness=0.7)
     Place(room, "Books", -1.3, 1.47, CHEST_HEIGHT_M, 70).add(joined(books), cover, bevel_m=0.003)

@@ -13,34 +13,10 @@ import bpy
 import numpy as np
 from staging import add_virtual, arc, main, open_stage, walk_phone
 
-from xihe_blender.lab.props import Collection
-from xihe_blender.lab.props.furniture import (
-    add_bookcase,
-    add_cabinet,
-    add_chair,
-    add_curtain,
-    add_curtain_rod,
-    add_picture,
-    add_plant,
-    add_radiator,
-    add_round_table,
-    add_sofa,
-)
+from xihe_blender.lab.props import Collection, furniture, surfaces
 from xihe_blender.lab.props.lighting import add_table_lamp, set_sky
 from xihe_blender.lab.props.room_shell import Opening, Room, add_shell
 from xihe_blender.lab.props.shapes import Place, add_solid, ball, box_between, revolved
-from xihe_blender.lab.props.surfaces import (
-    carpet,
-    coloured_by_face,
-    curtain_cloth,
-    fabric,
-    foliage,
-    paint,
-    painting,
-    plain,
-    planks,
-    wood,
-)
 
 WINDOW = Opening("+x", -0.8, 0.8, 0.85, 2.2)
 DOOR = Opening("-y", 0.9, 1.75, 0.0, 2.02, is_door=True)
@@ -62,7 +38,7 @@ def build() -> bpy.types.Scene:
     add_furniture(room, rng)
     add_decoration(room, rng)
     add_virtual_pieces(scene)
-    glaze = plain("Lamp glaze", (0.4, 0.13, 0.07), roughness=0.2)
+    glaze = surfaces.plain("Lamp glaze", (0.4, 0.13, 0.07), roughness=0.2)
     place = Place(room, "Lamp", 0.0, 0.0, TABLE_HEIGHT_M)
     add_table_lamp(place, glaze, kelvin=2800, watts=32.0, radiance=1.8, height=0.52)
     set_sky(
@@ -83,61 +59,70 @@ def build() -> bpy.types.Scene:
 
 def add_walls(room: Collection) -> None:
     """Shell, window, door and skirting; each wall has its own colour, so that the light has a direction."""
-    white = plain("White lacquer", (0.75, 0.75, 0.73), roughness=0.35)
+    white = surfaces.plain("White lacquer", (0.75, 0.75, 0.73), roughness=0.35)
     walls = {
-        "+x": paint("Cream paint", (0.68, 0.63, 0.52)),
-        "-x": paint("Brick red paint", (0.42, 0.13, 0.08)),
-        "+y": paint("Sage paint", (0.3, 0.38, 0.28)),
-        "-y": paint("Chalk paint", (0.65, 0.65, 0.63)),
+        "+x": surfaces.paint("Cream paint", (0.68, 0.63, 0.52)),
+        "-x": surfaces.paint("Brick red paint", (0.42, 0.13, 0.08)),
+        "+y": surfaces.paint("Sage paint", (0.3, 0.38, 0.28)),
+        "-y": surfaces.paint("Chalk paint", (0.65, 0.65, 0.63)),
     }
-    floor = planks("Pine planks", (0.38, 0.24, 0.12), (0.52, 0.36, 0.2), width_m=0.12)
-    ceiling = paint("Ceiling paint", (0.74, 0.74, 0.72))
-    steel = plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3)
+    floor = surfaces.planks("Pine planks", (0.38, 0.24, 0.12), (0.52, 0.36, 0.2), width_m=0.12)
+    ceiling = surfaces.paint("Ceiling paint", (0.74, 0.74, 0.72))
+    steel = surfaces.plain("Steel", (0.6, 0.6, 0.6), metallic=1.0, roughness=0.3)
     add_shell(room, ROOM, floor=floor, walls=walls, ceiling=ceiling, trim=white, handle=steel)
 
 
 def add_furniture(room: Collection, rng: np.random.Generator) -> None:
     """The table in the middle; something to see on every side."""
-    oak = wood("Oak", (0.3, 0.17, 0.08), (0.44, 0.27, 0.14))
-    walnut = wood("Walnut", (0.09, 0.045, 0.022), (0.17, 0.09, 0.045), grain="Z")
-    brass = plain("Brass", (0.75, 0.5, 0.2), metallic=1.0, roughness=0.3)
-    add_round_table(Place(room, "Table", 0.0, 0.0), TABLE_RADIUS_M, TABLE_HEIGHT_M, oak, walnut)
-    cloth = fabric("Sofa cloth", (0.16, 0.22, 0.3))
-    throws = [fabric("Rust cloth", (0.5, 0.17, 0.05)), fabric("Cream cloth", (0.66, 0.6, 0.5))]
-    add_sofa(Place(room, "Sofa", 0.0, 1.74), 1.9, cloth, walnut, throws)
-    books = coloured_by_face("Book spines")
-    add_bookcase(Place(room, "Bookcase 1", -2.05, -0.5, turn_deg=90), (0.95, 0.3, 2.0), walnut, books, rng)
-    add_bookcase(Place(room, "Bookcase 2", -2.05, 0.5, turn_deg=90), (0.95, 0.3, 2.0), walnut, books, rng)
-    add_cabinet(Place(room, "Sideboard", -0.35, -2.0, turn_deg=180), (1.5, 0.4, 0.8), oak, brass, doors=3)
-    add_chair(Place(room, "Chair", 1.75, -1.3, turn_deg=-60), walnut, fabric("Chair cloth", (0.5, 0.36, 0.12)))
-    rug = carpet("Rug", (0.42, 0.35, 0.27), (0.07, 0.12, 0.2), (0.36, 0.09, 0.05))
+    oak = surfaces.wood("Oak", (0.3, 0.17, 0.08), (0.44, 0.27, 0.14))
+    walnut = surfaces.wood("Walnut", (0.09, 0.045, 0.022), (0.17, 0.09, 0.045), grain="Z")
+    brass = surfaces.plain("Brass", (0.75, 0.5, 0.2), metallic=1.0, roughness=0.3)
+    furniture.add_round_table(Place(room, "Table", 0.0, 0.0), TABLE_RADIUS_M, TABLE_HEIGHT_M, oak, walnut)
+    cloth = surfaces.fabric("Sofa cloth", (0.16, 0.22, 0.3))
+    throws = [surfaces.fabric("Rust cloth", (0.5, 0.17, 0.05)), surfaces.fabric("Cream cloth", (0.66, 0.6, 0.5))]
+    furniture.add_sofa(Place(room, "Sofa", 0.0, 1.74), 1.9, cloth, walnut, throws)
+    books = surfaces.coloured_by_face("Book spines")
+    furniture.add_bookcase(Place(room, "Bookcase 1", -2.05, -0.5, turn_deg=90), (0.95, 0.3, 2.0), walnut, books, rng)
+    furniture.add_bookcase(Place(room, "Bookcase 2", -2.05, 0.5, turn_deg=90), (0.95, 0.3, 2.0), walnut, books, rng)
+    furniture.add_cabinet(Place(room, "Sideboard", -0.35, -2.0, turn_deg=180), (1.5, 0.4, 0.8), oak, brass, doors=3)
+    furniture.add_chair(
+        Place(room, "Chair", 1.75, -1.3, turn_deg=-60), walnut, surfaces.fabric("Chair cloth", (0.5, 0.36, 0.12))
+    )
+    rug = surfaces.carpet("Rug", (0.42, 0.35, 0.27), (0.07, 0.12, 0.2), (0.36, 0.09, 0.05))
     disc = revolved([(0, 0), (1.2, 0), (1.2, 0.012), (0, 0.012)], 64)
     add_solid(room, "Rug", disc, rug)
 
 
 def add_decoration(room: Collection, rng: np.random.Generator) -> None:
     """Curtains, radiator, pictures, plants, the street outside."""
-    linen = curtain_cloth("Linen", (0.7, 0.6, 0.45))
-    steel = plain("Rod steel", (0.25, 0.24, 0.23), metallic=1.0, roughness=0.4)
-    add_curtain_rod(Place(room, "Curtain rod", 2.1, 0.0, 2.35, 90), 2.5, steel)
-    add_curtain(Place(room, "Curtain left", 2.1, 0.98, 2.35, 90), 0.5, 2.3, linen, seed=1)
-    add_curtain(Place(room, "Curtain right", 2.1, -0.98, 2.35, 90), 0.5, 2.3, linen, seed=2)
-    enamel = plain("Radiator enamel", (0.74, 0.74, 0.72), roughness=0.3)
-    add_radiator(Place(room, "Radiator", 2.18, 0.0, turn_deg=-90), 1.3, 0.5, enamel)
-    black, mount = plain("Picture frame", (0.02, 0.02, 0.02), roughness=0.4), plain("Mount", (0.78, 0.77, 0.74))
+    linen = surfaces.curtain_cloth("Linen", (0.7, 0.6, 0.45))
+    steel = surfaces.plain("Rod steel", (0.25, 0.24, 0.23), metallic=1.0, roughness=0.4)
+    furniture.add_curtain_rod(Place(room, "Curtain rod", 2.1, 0.0, 2.35, 90), 2.5, steel)
+    furniture.add_curtain(Place(room, "Curtain left", 2.1, 0.98, 2.35, 90), 0.5, 2.3, linen, seed=1)
+    furniture.add_curtain(Place(room, "Curtain right", 2.1, -0.98, 2.35, 90), 0.5, 2.3, linen, seed=2)
+    enamel = surfaces.plain("Radiator enamel", (0.74, 0.74, 0.72), roughness=0.3)
+    furniture.add_radiator(Place(room, "Radiator", 2.18, 0.0, turn_deg=-90), 1.3, 0.5, enamel)
+    black, mount = (
+        surfaces.plain("Picture frame", (0.02, 0.02, 0.02), roughness=0.4),
+        surfaces.plain("Mount", (0.78, 0.77, 0.74)),
+    )
     stops = [(0.3, (0.03, 0.1, 0.18)), (0.47, (0.3, 0.42, 0.4)), (0.53, (0.7, 0.62, 0.45)), (0.7, (0.45, 0.14, 0.06))]
     for i, (x, scale) in enumerate(((-0.55, 1.5), (0.0, 2.2), (0.55, 1.8))):
-        art = painting(f"Print {i + 1}", stops, scale=scale)
-        add_picture(Place(room, f"Picture {i + 1}", x, 2.2, 1.55), (0.42, 0.54), art, black, mount)
-        art = painting(f"Study {i + 1}", stops, scale=scale + 1)
-        add_picture(Place(room, f"Small picture {i + 1}", x - 0.35, -2.2, 1.5, 180), (0.34, 0.34), art, black, mount)
-    leaves = foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
+        art = surfaces.painting(f"Print {i + 1}", stops, scale=scale)
+        furniture.add_picture(Place(room, f"Picture {i + 1}", x, 2.2, 1.55), (0.42, 0.54), art, black, mount)
+        art = surfaces.painting(f"Study {i + 1}", stops, scale=scale + 1)
+        furniture.add_picture(
+            Place(room, f"Small picture {i + 1}", x - 0.35, -2.2, 1.5, 180), (0.34, 0.34), art, black, mount
+        )
+    leaves = surfaces.foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
     clay, soil = (
-        plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
-        plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
+        surfaces.plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
+        surfaces.plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
     )
-    add_plant(Place(room, "Plant", 1.75, 1.7), leaves, clay, soil, rng, height=1.4, spread=0.4, n_leaves=32)
-    add_plant(Place(room, "Fern", -0.8, -2.0, 0.8), leaves, clay, soil, rng, height=0.45, spread=0.25, pot_radius=0.09)
+    furniture.add_plant(Place(room, "Plant", 1.75, 1.7), leaves, clay, soil, rng, height=1.4, spread=0.4, n_leaves=32)
+    furniture.add_plant(
+        Place(room, "Fern", -0.8, -2.0, 0.8), leaves, clay, soil, rng, height=0.45, spread=0.25, pot_radius=0.09
+    )
     houses = [
         box_between((12, y, -4), (16, y + w, h))
         for y, w, h in ((-14, 6, 2.2), (-7, 5, 1.4), (-1.5, 6, 2.6), (5, 7, 1.7))
@@ -147,16 +132,16 @@ def add_decoration(room: Collection, rng: np.random.Generator) -> None:
             room,
             f"House {i + 1}",
             house,
-            plain(f"Facade {i + 1}", (0.3, 0.24 - 0.03 * i, 0.2 - 0.03 * i), roughness=0.9),
+            surfaces.plain(f"Facade {i + 1}", (0.3, 0.24 - 0.03 * i, 0.2 - 0.03 * i), roughness=0.9),
         )
 
 
 def add_virtual_pieces(scene: bpy.types.Scene) -> None:
     """A jar on one side of the lamp, a ball on the other."""
     jar = revolved(JAR_PROFILE, 64)
-    porcelain = plain("Virtual porcelain", (0.7, 0.7, 0.68), roughness=0.4)
+    porcelain = surfaces.plain("Virtual porcelain", (0.7, 0.7, 0.68), roughness=0.4)
     add_virtual(scene, "Jar", jar, porcelain, (-0.27, -0.16, TABLE_HEIGHT_M))
-    metal = plain("Virtual brushed metal", (0.85, 0.83, 0.8), metallic=1.0, roughness=0.3)
+    metal = surfaces.plain("Virtual brushed metal", (0.85, 0.83, 0.8), metallic=1.0, roughness=0.3)
     add_virtual(scene, "Ball", ball(0.095, (0, 0, 0.095), 64), metal, (0.28, 0.14, TABLE_HEIGHT_M))
 
 
