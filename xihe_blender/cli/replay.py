@@ -212,18 +212,14 @@ def _estimator(options: argparse.Namespace) -> Estimator | EdgeBackend:
 
 def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespace) -> list[EstimatorScore]:
     chosen = capture.frames
-    loaded = {name: estimators.load(name, target="ldr") for name in ("ambient", *_by_cloud())}
+    by_cloud = [name for name in estimators.names() if not estimators.kind(name).needs]  # But for what was seen.
+    loaded = {name: estimators.load(name, target="ldr") for name in ("ambient", *by_cloud)}
     if places:
         places_m = np.array(list(_positions(capture, places).values()))
     else:
         places_m = score_places([chosen[k].read() for k in np.linspace(0, len(chosen) - 1, LOOKED_AT).astype(int)])
     rng = np.random.default_rng(0)
     return score_session(capture, len(chosen), places_m, loaded, rng, reference_exposure=capture.reference_exposure)
-
-
-def _by_cloud() -> list[str]:
-    """Names of the estimators that need nothing but what was seen."""
-    return [name for name in estimators.names() if not estimators.kind(name).needs]
 
 
 def _positions(capture: Capture, places: Sequence[Place]) -> dict[str, ArrayF64]:

@@ -116,7 +116,7 @@ def _caches() -> Iterator[str]:
                 folders.append(modifier.filepath)
             elif modifier.filepath and modifier.type != "OCEAN":
                 yield pattern_of(item, modifier.filepath)
-            yield from (_below(item, folder) for folder in folders if folder)
+            yield from (str(Path(pattern_of(item, folder), "**", "*")) for folder in folders if folder)
     for owner, cache in point_caches():
         library = owner.library if cache.use_library_path else None
         file = bpy.path.basename(bpy.data.filepath if library is None else library.filepath)
@@ -134,10 +134,6 @@ class _AnyModifier:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._modifier, name, None)
-
-
-def _below(owner: bpy.types.ID, folder: str) -> str:
-    return str(Path(pattern_of(owner, folder), "**", "*"))
 
 
 def pattern_of(owner: bpy.types.ID, path: str, *, is_sequence: bool = False) -> str:

@@ -162,7 +162,8 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
         find, what = functools.partial(places_among, upward_points(frames, wanted.reach_m)), "an upward surface"
     best: tuple[ArrayF64, float] | None = None
     fewest: tuple[ArrayF64, float] | None = None
-    for spacing_m in _spacings(wanted):
+    finest_first = [FINEST_M * GROWTH**k for k in range(N_SPACINGS)]
+    for spacing_m in finest_first if wanted.spacing_m is None else [wanted.spacing_m]:
         yield Progress(0, 1, "looking for places")
         try:
             found = find(spacing_m)
@@ -187,13 +188,6 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
         )
     clearance_m = 0.0 if wanted.height_m is not None else wanted.clearance_m
     return best[0] + (0, 0, clearance_m), best[1]
-
-
-def _spacings(wanted: PlacementSettings) -> list[float]:
-    """In metres, the finest first."""
-    if wanted.spacing_m is not None:
-        return [wanted.spacing_m]
-    return [FINEST_M * GROWTH**k for k in range(N_SPACINGS)]
 
 
 def _place(position_m: ArrayF64, light: FoundLight, exposure: float) -> Place:

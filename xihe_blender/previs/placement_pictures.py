@@ -137,8 +137,10 @@ def _through_camera(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
     larger = max(1, round(WIDTH_PX / frame.intrinsics.width))
     picture = painted.reshape(frame.srgb_u8.shape).repeat(larger, axis=0).repeat(larger, axis=1)
     if painter.are_in_air:
-        half = np.clip(0.03 * frame.intrinsics.fx * larger / distance_m, 2, 14).astype(int)
-        _draw_squares(picture, (pixels * larger).astype(int), half, painter.colours[which])
+        halves = np.clip(0.03 * frame.intrinsics.fx * larger / distance_m, 2, 14).astype(int).tolist()
+        middles = (pixels * larger).astype(int).tolist()
+        for (x, y), half, colour in zip(middles, halves, painter.colours[which], strict=True):
+            picture[max(0, y - half) : y + half + 1, max(0, x - half) : x + half + 1] = colour
     return picture.round().astype(np.uint8)
 
 
@@ -152,8 +154,3 @@ def _in_picture(positions: ArrayF64, frame: RgbdFrame) -> tuple[ArrayInt, ArrayF
     which = np.flatnonzero(inside & (distance_m < behind))
     which = which[np.argsort(-distance_m[which], kind="stable")]
     return which, pixels[which], distance_m[which]
-
-
-def _draw_squares(picture: ArrayF64, middles: ArrayInt, half: ArrayInt, colours: ArrayF64) -> None:
-    for (x, y), reach, colour in zip(middles.tolist(), half.tolist(), colours, strict=True):
-        picture[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1] = colour

@@ -18,9 +18,10 @@ ABOVE = (
 
 def write_look_report(path: Path, results: LookResults, above: Path) -> None:
     """One self-contained page."""
+    items = "".join(f"<li><strong>{escape(one.name)}</strong>: {escape(one.sentence)}.</li>" for one in results.objects)
     shown = f'<img src="{png_url(above.read_bytes())}" alt="{above.stem}" style="max-width: 100%">'
     sections = [
-        ("looks", "Where to look", _sentences(results)),
+        ("looks", "Where to look", f"<ul>{items}</ul>"),
         ("above", "From above", ABOVE + shown),
         ("numbers", "In numbers", _table(results.objects)),
         ("right", "How far this is right", _verified(results.objects)),
@@ -33,11 +34,6 @@ def _opening(results: LookResults) -> str:
     said += f"<code>{escape(results.settings['estimator'])}</code>. Looks were tried on what the path shows; what it "
     said += "does not show is guessed."
     return f"<p>{said} {' '.join(escape(note) for note in results.notes)}</p>"
-
-
-def _sentences(results: LookResults) -> str:
-    items = "".join(f"<li><strong>{escape(one.name)}</strong>: {escape(one.sentence)}.</li>" for one in results.objects)
-    return f"<ul>{items}</ul>"
 
 
 def _table(objects: Sequence[ObjectAdvice]) -> str:

@@ -103,7 +103,8 @@ def _timeline(content: Mapping[str, Any]) -> str:
     frames = content["frames"]
     if not frames or not content["positions"]:
         return ""
-    across, up = _across(frames), svg.linear_axis(0, 1)
+    times = [one["time_s"] for one in frames]
+    across, up = svg.linear_axis(min(times), max(times), n_steps=6), svg.linear_axis(0, 1)
     body, entries = svg.grid_across(up) + svg.axis_of(across, "seconds"), []
     for colour, place in enumerate(content["positions"]):
         name = place["name"]
@@ -118,11 +119,6 @@ def _timeline(content: Mapping[str, Any]) -> str:
         entries.append(f"{svg.icon('circle', f'dot s{colour % 6}')} {escape(name)}")
     about = "The share of the sphere that is known at each position, where the camera sees it; a dot is an estimate."
     return svg.figure(body, title="Coverage and estimates", about=about, below=svg.legend(entries))
-
-
-def _across(frames: Sequence[Mapping[str, Any]]) -> svg.Axis:
-    times = [one["time_s"] for one in frames]
-    return svg.linear_axis(min(times), max(times), n_steps=6)
 
 
 def _exposure(content: Mapping[str, Any]) -> str:

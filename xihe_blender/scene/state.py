@@ -122,12 +122,8 @@ def animated_paths(owner: bpy.types.ID) -> set[str]:
     if animation is None:
         return set()
     actions = [animation.action, *(strip.action for track in animation.nla_tracks for strip in track.strips)]
-    curves = [curve for action in actions if action is not None for curve in _curves(action)]
-    return {curve.data_path for curve in (*curves, *animation.drivers)}
-
-
-def _curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
-    return [curve for curves in _curve_lists(action) for curve in curves]
+    lists = [curves for action in actions if action is not None for curves in _curve_lists(action)]
+    return {curve.data_path for curves in (*lists, animation.drivers) for curve in curves}
 
 
 def _curve_lists(action: bpy.types.Action) -> list[Any]:

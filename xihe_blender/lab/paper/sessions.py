@@ -81,14 +81,10 @@ def recorded_session(file: Path, folder: Path, walk: WalkSettings, seed: int) ->
 
     UserError for a scene that cannot be recorded.
     """
-    facts = kept_json(folder / FACTS_FILE, lambda content: content if _is_whole(content) else None)
+    facts = kept_json(folder / FACTS_FILE, lambda kept: kept if isinstance(kept, dict) and set(kept) >= FACTS else None)
     if facts is None:
         facts = yield from _record(file, folder, walk, seed)
     return _session(file, folder, facts)
-
-
-def _is_whole(facts: Json) -> bool:
-    return isinstance(facts, dict) and set(facts) >= FACTS
 
 
 def open_walk(file: Path, n_between: int) -> bpy.types.Scene:

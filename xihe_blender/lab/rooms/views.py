@@ -18,7 +18,7 @@ from mathutils import Vector
 
 from xihe_blender.lab.rooms.draws import Rng, draw_point, one_of, span
 from xihe_blender.lab.rooms.outline import Rect
-from xihe_blender.lab.rooms.room_data import Piece, Room, Sun
+from xihe_blender.lab.rooms.room_data import Room, Sun
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sphere import AnchorLattice
 
@@ -173,13 +173,10 @@ def _draw_view(rng: Rng, room: Room, target: ArrayF64 | None, fov_deg: float) ->
         pitch = math.atan2(below, float(np.hypot(*ahead))) + math.radians(float(rng.normal(6, 8)))
     if not room.outline.holds((x, y)) or height > room.ceiling_at((x, y)) - 0.15:
         return None
-    if any(_is_in_box(piece, (x, y, height)) for piece in room.pieces):
+    near = [piece for piece in room.pieces if piece.footprint.grown(0.08).holds((x, y))]
+    if any(piece.z - 0.1 < height < piece.top_m + 0.2 for piece in near):
         return None
     return PhoneView(hand_held_pose((x, y, height), yaw, min(max(pitch, -1.1), 0.5), roll), fov_deg)
-
-
-def _is_in_box(piece: Piece, place: tuple[float, float, float]) -> bool:
-    return piece.footprint.grown(0.08).holds(place[:2]) and piece.z - 0.1 < place[2] < piece.top_m + 0.2
 
 
 def hand_held_pose(place: tuple[float, float, float], yaw: float, pitch: float, roll: float) -> ArrayF64:
