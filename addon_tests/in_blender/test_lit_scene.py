@@ -570,10 +570,11 @@ def test_the_buttons_go_there_and_back(ran):
         shown = scene.view_layers.new("Second")
         if bpy.context.window is not None:
             bpy.context.window.view_layer = shown
+        active = bpy.context.view_layer.objects.active = bpy.data.objects["Board"]
         assert "This is the room" in poll_message(bpy.ops.xihe.show_room)
         assert bpy.ops.xihe.show_lit() == {"FINISHED"}
         if bpy.context.window is not None:
-            assert bpy.context.scene == lit_scene()
+            assert bpy.context.scene == lit_scene() and bpy.context.view_layer.objects.active == active
             assert "go back to the room" in poll_message(bpy.ops.xihe.run)
             assert bpy.ops.xihe.show_room() == {"FINISHED"}
             assert bpy.context.window.view_layer == shown

@@ -99,9 +99,12 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
 
 def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
     """Show `lit` in the window, and rendered through its camera in the 3D view that asked."""
-    lit[LAYER_BEFORE] = context.window.view_layer.name
+    lit[LAYER_BEFORE], active = context.window.view_layer.name, context.view_layer.objects.active
     context.window.scene = lit
-    context.window.view_layer = next(layer for layer in lit.view_layers if layer.world_override == lit.world)
+    layer = next(layer for layer in lit.view_layers if layer.world_override == lit.world)
+    context.window.view_layer = layer
+    if active is not None and active.mode == "OBJECT" and active in set(layer.objects):
+        layer.objects.active = active
     if context.area is not None and context.area.type == "VIEW_3D":
         space = context.area.spaces.active
         shown = [line for line in FLOOR if getattr(space.overlay, line)]

@@ -42,6 +42,7 @@ METHOD_SHARE = 0.34
 PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
 RUN_SCALE = 1.5
+ON_THIS_MACHINE = " on this machine"
 
 ESTIMATES = (
     "How often the light was estimated, all virtual objects counted. Fewer cost less; a changing light needs more"
@@ -274,7 +275,8 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("xihe.measure_run", text="" if job.run_estimate else "How Long?", icon="TIME")
         if job.run_estimate:
-            row.label(text=as_sentence(job.run_estimate), translate=False)
+            # The rest would be cut off in a narrow sidebar.
+            row.label(text=as_sentence(job.run_estimate).removesuffix(ON_THIS_MACHINE), translate=False)
         if job.error:
             sentence(context, layout, job.error, icon="ERROR")
         elif not (has_camera(context) or has_virtual_objects(context)):
