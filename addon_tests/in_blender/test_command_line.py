@@ -152,6 +152,23 @@ def test_version_and_help_are_no_errors():
         assert "usage: xihe" in shown.stdout
 
 
+@pytest.mark.slow
+def test_a_process_ends_as_it_should_after_a_scene_whose_nodes_import_a_file(tmp_path):
+    (tmp_path / "vase.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    scene = walk(2)
+    tree = bpy.data.node_groups.new("Import", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    node, end = tree.nodes.new("GeometryNodeImportOBJ"), tree.nodes.new("NodeGroupOutput")
+    node.inputs["Path"].default_value = "//vase.obj"
+    tree.links.new(node.outputs[0], end.inputs[0])
+    scene.objects["Table"].modifiers.new("Import", "NODES").node_group = tree
+    limit = bpy.context.preferences.system.memory_cache_limit
+    done = xihe("effects", saved(tmp_path / "walk.blend"), "--plan-only")
+    assert done.returncode == 0 and "volumes" in done.stdout, done.stderr
+    assert xihe_here("effects", tmp_path / "walk.blend", "--plan-only").returncode == 0
+    assert bpy.context.preferences.system.memory_cache_limit == limit
+
+
 # --------------------------------------------------------------------------------------------------------------- stops
 
 

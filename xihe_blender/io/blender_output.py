@@ -77,6 +77,7 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
         try:
             yield streams[0], streams[1]
         finally:
+            _forget_imported_files()
             # Registered after Blender was loaded, it runs before Blender ends: 4.5 prints a line to stdout as it ends.
             atexit.unregister(close_stdout)
             atexit.register(close_stdout)
@@ -84,6 +85,15 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
             with contextlib.suppress(OSError):
                 sys.stdout.flush()
                 sys.stderr.flush()
+
+
+def _forget_imported_files() -> None:
+    """Empty Blender's cache of what geometry nodes imported: it outlives Python, and 4.5 then crashes as it ends."""
+    bpy = sys.modules.get("bpy")
+    if bpy is not None:
+        system = bpy.context.preferences.system
+        limit, system.memory_cache_limit = system.memory_cache_limit, 0
+        system.memory_cache_limit = limit
 
 
 @contextlib.contextmanager
