@@ -29,7 +29,9 @@ def cloud_of(srgb: Any, is_set: Any = True, n: int = N) -> UnitSphereCloud:
 def decided(given: tuple[Any, UnitSphereCloud, TriggerSettings]) -> str:
     """The reason, which is "none" where nothing fires."""
     previous, current, settings = given
-    return decide_trigger(previous, current, AnchorLattice(len(current)), settings).reason
+    decision = decide_trigger(previous, current, AnchorLattice(len(current)), settings)
+    assert decision.fire == (decision.reason != "none")
+    return decision.reason
 
 
 def by_hand(given: tuple[Any, UnitSphereCloud, TriggerSettings]) -> str:

@@ -224,8 +224,8 @@ def _over_error(
                 continue
             found = measured(curve, rng, statistic=partial(_fires_a_minute, error=error, minutes=minutes))
             what = f"{session.name}, {rule}: estimates at an error of {error:g}"
-            drawn = (f"{session.name}, {rule}", error) if session.name in PAPER else ("", None)
-            yield Row(what, "a minute", *found, "cannot be compared", EQUAL, None, "places", *drawn, is_detail=True)
+            line, at = (f"{session.name}, {rule}", error) if session.name in PAPER else ("", None)
+            yield Row(what, "a minute", *found, "cannot be compared", EQUAL, None, "places", line, at, is_detail=True)
 
 
 STUDY = Study(
