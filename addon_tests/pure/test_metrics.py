@@ -180,10 +180,10 @@ def test_angles_between_known_colours(colour, degrees):
 
 
 def test_black_pixels_are_counted_and_not_hidden():
-    prediction = np.array([[[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0.0]]])
-    truth = np.array([[[1, 0, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0], [9, 9, 9.0]]])
-    error = angular_error(prediction, truth, [[1, 1, 1, 1, 0]])
-    assert (error.n_pixels, error.n_black_prediction, error.n_black_truth) == (4, 1, 2)
+    prediction = np.array([[[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0.0]]])
+    truth = np.array([[[1, 0, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0], [0, 1, 0], [9, 9, 9.0]]])
+    error = angular_error(prediction, truth, [[1, 1, 1, 1, 1, 0]])
+    assert (error.n_pixels, error.n_black_prediction, error.n_black_truth) == (5, 2, 2)
     assert error.mean_deg == pytest.approx(90)
 
 
