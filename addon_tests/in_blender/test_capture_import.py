@@ -138,7 +138,7 @@ def test_times_become_whole_frames():
 
 def test_times_in_other_units_or_of_a_clock_that_was_set_are_refused_before_files_are_written():
     nanoseconds = [5e8 * i for i in range(8)]
-    with pytest.raises(UserError, match=r"5e\+08 s pass between pictures 1 and 2 of the recording: mend its times"):
+    with pytest.raises(UserError, match=r"5e\+08 s pass between pictures 1 and 2 of the recording: correct its times"):
         frames_of_times(nanoseconds)
     clock_was_set = [i / 30 + 86400 * (i > 40) for i in range(80)]
     with pytest.raises(UserError, match="86400 s pass between pictures 41 and 42"):

@@ -115,7 +115,7 @@ def test_a_worker_with_another_blender_is_one_line(scheduler, tmp_path, monkeypa
     monkeypatch.setattr(dask_workers, "blender_version", version)
     with open_dask_workers(None, scheduler) as workers:
         for there["module"], said in (("4.4.0", "Blender 4.4.0"), (None, "no Blender as a Python module")):
-            with pytest.raises(UserError, match=f"has {said} and this is Blender 4.5.0, which may render otherwise"):
+            with pytest.raises(UserError, match=f"has {said} and this is Blender 4.5.0, which may render differently"):
                 workers.check_workers(str(tmp_path), [])
         there["module"] = "4.5.0"
         workers.check_workers(str(tmp_path), [])

@@ -119,7 +119,7 @@ def phone_camera(scene: bpy.types.Scene) -> tuple[Intrinsics, ArrayF64]:
     pose = np.array(evaluated.matrix_world, np.float64)
     if not np.isfinite(pose).all():
         raise UserError(
-            f"camera {camera.name!r} is nowhere at frame {scene.frame_current}: "
+            f"camera {camera.name!r} has no finite position at frame {scene.frame_current}: "
             "check its location, its rotation and its constraints"
         )
     lengths = np.linalg.norm(pose[:3, :3], axis=0)

@@ -88,7 +88,7 @@ def _of_run(options: argparse.Namespace) -> list[Path]:
 
 def _of_file(options: argparse.Namespace) -> list[Path]:
     if options.light is not None:
-        raise UserError("a file has its lights as they are: leave out --light, or name the run's RESULTS.json")
+        raise UserError("--light does not apply to a file: leave it out, or name the run's RESULTS.json")
     from xihe_blender.apply.applied_lights import lights_of_scene
     from xihe_blender.scene.blend_file import open_blend
 

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         files = " and ".join(str(path) for path in (options.certificate, options.key) if path is not None)
         raise UserError(
             f"cannot speak HTTPS with {files} ({error.strerror or error}): check --certificate and --key, which are "
-            "PEM files of one another, the key without a password"
+            "PEM files that belong together, the key without a password"
         ) from error
     try:
         inference = Inference(options.estimator, options.device)

@@ -45,7 +45,7 @@ def save_side_by_side(results: RunResults, folder: Path, method: str | None = No
     method = method or results.settings.estimator
     compared = results.compared_frames
     if results.recording is not None:
-        raise UserError(f"{results.recording.said} {folder / 'composited.mp4'} is the film of this run.")
+        raise UserError(f"{results.recording.said} {folder / 'composited.mp4'} is the video of this run.")
     if not compared:
         raise UserError(f"{folder} has no compared frames, so there is nothing to show side by side")
     known = [name for name in results.comparison if name in next(iter(compared.values())).pictures]

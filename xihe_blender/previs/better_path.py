@@ -77,7 +77,7 @@ class LookWishes:
 
     def __post_init__(self) -> None:
         if self.n_random < 0:
-            raise UserError("--random counts looks: give 0 or more")
+            raise UserError("--random: give 0 looks or more")
 
 
 def better_path(
@@ -120,7 +120,7 @@ def check_sees_whole_path(settings: PrevisSettings) -> None:
     (estimator, *_) = load_estimators(settings)
     if estimator.needs:
         raise UserError(
-            f"estimator {settings.estimator!r} does not tell by what the whole path has shown: choose lattice, "
+            f"estimator {settings.estimator!r} needs more than the directions that the path has shown: choose lattice, "
             "xihenet or projection"
         )
 

@@ -73,11 +73,11 @@ class PlacementSettings:
     def __post_init__(self) -> None:
         for name, value in (("spacing", self.spacing_m), ("clearance", self.clearance_m), ("reach", self.reach_m)):
             if value is not None and not (0 < value < math.inf):
-                raise UserError(f"a {name} of {value:g} m is no distance: give a positive number of metres")
+                raise UserError(f"a {name} of {value:g} m is not usable: give a positive number of metres")
         if self.height_m is not None and not math.isfinite(self.height_m):
-            raise UserError(f"a height of {self.height_m:g} m is nowhere: give metres above the floor of the world")
+            raise UserError(f"a height of {self.height_m:g} m is not usable: give metres above the world's origin")
         if self.most < 1 or self.n_verified < 0:
-            raise UserError("--places and --verify count places: give 1 or more, and 0 or more")
+            raise UserError("--places: give 1 or more; --verify: give 0 or more")
 
 
 def placement(
@@ -183,7 +183,7 @@ def find_places(session: KeptSession, wanted: PlacementSettings) -> Job[tuple[Ar
     if best is None:
         fix = "" if wanted.height_m is None else "give another --height, "
         raise UserError(
-            f"the phone sees nowhere to put an object: no frame of the path shows {what} within {wanted.reach_m:g} m "
+            f"there is no place for an object: no frame of the path shows {what} within {wanted.reach_m:g} m "
             f"of the camera; {fix}bring the camera nearer to it, or give a larger --reach"
         )
     clearance_m = 0.0 if wanted.height_m is not None else wanted.clearance_m

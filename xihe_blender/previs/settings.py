@@ -144,9 +144,7 @@ class PrevisSettings:
                 f"a picture of {self.size[0]}x{self.size[1]} pixels cannot be captured: use 4 to 8192 a side"
             )
         if self.exposure is not None and not (math.isfinite(self.exposure) and self.exposure > 0):
-            raise UserError(
-                f"an exposure of {self.exposure:g} makes no picture: give a positive factor, or leave it out"
-            )
+            raise UserError(f"an exposure of {self.exposure:g} is not usable: give a positive factor, or leave it out")
         if not 0 <= self.seed <= MAX_SEED:
             raise UserError(f"a seed of {self.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
         if self.network is not None and self.network not in LINKS:

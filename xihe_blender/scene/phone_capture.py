@@ -103,8 +103,8 @@ def frames_of_times(times_s: Sequence[float]) -> dict[int, int]:
         steps_s = [after - before for before, after in itertools.pairwise(times_s)]
         n_before = 1 + steps_s.index(max(steps_s))
         raise UserError(
-            f"{max(steps_s):g} s pass between pictures {n_before} and {n_before + 1} of the recording: mend its times, "
-            "which are seconds, or leave out the pictures before or after that"
+            f"{max(steps_s):g} s pass between pictures {n_before} and {n_before + 1} of the recording: correct its "
+            "times, which are seconds, or leave out the pictures before or after that"
         )
     return places
 

@@ -107,8 +107,10 @@ PLACES = [
 ]
 
 CAMERAS = [
-    case("a camera at NaN is refused", put("Phone", location=NAN_PLACE), refused("'Phone' is nowhere")),
-    case("a camera turned by NaN is refused", put("Phone", rotation_euler=NAN_PLACE), refused("is nowhere")),
+    case("a camera at NaN is refused", put("Phone", location=NAN_PLACE), refused("'Phone' has no finite position")),
+    case(
+        "a camera turned by NaN is refused", put("Phone", rotation_euler=NAN_PLACE), refused("has no finite position")
+    ),
     case("a mirrored camera sees the room", put("Phone", scale=(-1, 1, 1)), lit()),
     case("a camera inside a wall is named", add_block((-1.2, -1.5, 1.5)), says("is the camera inside an object?")),
     case("clip planes behind the room show nothing", put("Phone", clip_end=60, clip_start=50), BEYOND_CLIPS),

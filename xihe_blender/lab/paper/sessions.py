@@ -142,7 +142,7 @@ def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json
     found = score_places([one.read() for one in capture.frames], max(0, walk.n_places - len(places)))
     places |= {f"place_{k}": place_m for k, place_m in enumerate(found)}
     if not places:
-        raise UserError(f"{file}: the walk shows no surface and no virtual object where light could be asked for")
+        raise UserError(f"{file}: the walk shows no surface and no virtual object where light could be estimated")
     positions_m = [(float(x), float(y), float(z)) for x, y, z in places.values()]
     if is_steady:
         wishes = RecordWishes(has_truth=True, at_m=positions_m)

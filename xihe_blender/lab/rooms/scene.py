@@ -144,5 +144,5 @@ def _place_for(folder: Path, name: str) -> int:
     try:
         of_that_name = [index for index in there if store.load_room(store.room_path(folder, index)).kind == name]
     except ValueError as error:
-        raise UserError(f"{error}: delete it to go on") from error
+        raise UserError(f"{error}: delete it and run again") from error
     return of_that_name[0] if of_that_name else max(there, default=-1) + 1

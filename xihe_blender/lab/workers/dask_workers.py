@@ -98,7 +98,7 @@ class DaskWorkers:
             if blender != blender_version():
                 there, here = map(_format_blender, (blender, blender_version()))
                 raise UserError(
-                    f"worker {worker} has {there} and this is {here}, which may render otherwise: install the same"
+                    f"worker {worker} has {there} and this is {here}, which may render differently: install the same"
                 )
             if unusable:
                 raise UserError(f"worker {worker} cannot use {unusable[0]}: all workers need it under the same path")

@@ -224,8 +224,8 @@ def _over_error(
                 continue
             found = measured(curve, rng, statistic=partial(_fires_a_minute, error=error, minutes=minutes))
             what = f"{session.name}, {rule}: estimates at an error of {error:g}"
-            line, at = (f"{session.name}, {rule}", error) if session.name in PAPER else ("", None)
-            yield Row(what, "a minute", *found, "cannot be compared", EQUAL, None, "places", line, at, is_detail=True)
+            series, at = (f"{session.name}, {rule}", error) if session.name in PAPER else ("", None)
+            yield Row(what, "a minute", *found, "cannot be compared", EQUAL, None, "places", series, at, is_detail=True)
 
 
 STUDY = Study(
