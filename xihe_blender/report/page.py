@@ -105,11 +105,11 @@ def _key_figures(results: RunResults) -> str:
     expected = "" if summary.expected_error is None else f"; {format_number(summary.expected_error)} was expected"
     estimates = f"estimate{'' if summary.n_estimates == 1 else 's'} in {format_count(len(results.frames), 'frame')}"
     errors = [
-        (format_number(summary.mean_shc_rmse), f"mean coefficient error (SHC RMSE){expected}{against}"),
+        (format_number(summary.mean_shc_rmse), f"mean light error (SHC RMSE){expected}{against}"),
         _closeness_figure(results),
     ]
     if results.recording is not None:
-        errors = [(format_number(summary.expected_error), "mean coefficient error (SHC RMSE) that was expected")]
+        errors = [(format_number(summary.expected_error), "mean light error (SHC RMSE) that was expected")]
     figures = [
         (str(summary.n_estimates), estimates),
         *errors,

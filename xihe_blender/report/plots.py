@@ -1,4 +1,4 @@
-"""Plots of what happened frame by frame: coefficient error, change, coverage, milliseconds, payload.
+"""Plots of what happened frame by frame: light error, change, coverage, milliseconds, payload.
 
 What is undefined is a gap, a value between two gaps is a dot, frames without a probe in view are shaded. Each mark has
 one shape per reason for which an estimate was made. Hovering a frame's column names its values.
@@ -200,7 +200,7 @@ def _error_plot(timeline: Timeline, ambient: float | None) -> str:
         drawing = limit + drawing
     hover = _hover(timeline, lambda probe: format_number(probe.shc_rmse))
     about = "SHC RMSE between the coefficients in use and the rendered light probe. No unit; 0 is a perfect estimate."
-    return plot(timeline, axis, drawing, hover, title="Coefficient error", about=about, below=below)
+    return plot(timeline, axis, drawing, hover, title="Light error", about=about, below=below)
 
 
 def _change_plot(timeline: Timeline) -> str:

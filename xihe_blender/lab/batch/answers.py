@@ -44,7 +44,7 @@ class Measure:
 
 
 MEASURES = (
-    Measure("shc_rmse", "Coefficient error (SHC RMSE)", True),
+    Measure("shc_rmse", "Light error (SHC RMSE)", True),
     Measure("psnr", "Picture, psnr on the objects", False, "dB"),
 )
 
@@ -207,10 +207,10 @@ def which_estimator(trials: Sequence[Trial]) -> str:
     best, *others = names
     error = format_number(mean(values_of(trials, measure, estimator=best)))
     if not others:
-        return f"Only {code(best)} was tried, with a mean coefficient error of {error}: give more of --estimators."
+        return f"Only {code(best)} was tried, with a mean light error of {error}: give more of --estimators."
     rivals = [one for one in against_the_best(trials, measure) if one.first in others]
     clear = [one.first for one in rivals if one.difference.is_clear]
-    words = f"Ship {code(best)}: its mean coefficient error, {error}, is the lowest"
+    words = f"Ship {code(best)}: its mean light error, {error}, is the lowest"
     words += f", clearly below that of {format_list([code(name) for name in clear])}" if clear else ""
     for one in rivals:
         if not one.difference.is_clear:
@@ -247,20 +247,20 @@ def is_a_better_phone_worth_it(trials: Sequence[Trial]) -> str:
 
 
 def _better_phone(trials: Sequence[Trial], best: str, one: Comparison) -> str:
-    """ "`perfect` has 0.013 less coefficient error than `cheap`, 8 % of it (95 %: ...), which may be chance"."""
+    """ "`perfect` has 0.013 less light error than `cheap`, 8 % of it (95 %: ...), which may be chance"."""
     difference = one.difference
     better, worse = (one.first, one.second) if difference.mean < 0 else (one.second, one.first)
     own = mean(values_of(trials, MEASURES[0], estimator=best, phone=worse))
     share = "" if not own else f", {format_percent(abs(difference.mean) / own)} of it"
     less = format_number(abs(difference.mean), 2)
     return (
-        f"{code(better)} has {less} less coefficient error than {code(worse)}{share}, {_how_sure(difference)}; "
+        f"{code(better)} has {less} less light error than {code(worse)}{share}, {_how_sure(difference)}; "
         f"{escape(one.first)} {MINUS} {escape(one.second)}: {format_interval(difference)}"
     )
 
 
 def phone_differences(trials: Sequence[Trial]) -> list[Comparison]:
-    """Coefficient error of every phone against every earlier one, with the estimator that one would ship."""
+    """Light error of every phone against every earlier one, with the estimator that one would ship."""
     best = best_of(trials, MEASURES[0])
     phones = names_of(trials, "phone")
     own = [trial for trial in trials if trial.estimator == best]

@@ -85,7 +85,7 @@ def _times_table(trials: Sequence[Trial], units: Sequence[UnitRow]) -> str:
         time = format_quantity(statistics.median(known) if known else None, "ms")
         rows.append((code(name), _mean_error(trials, estimator=name), time))
     about = "A step is the chain from unproject to estimate at one position in a frame; rendering is not in it."
-    head = ("estimator", "mean coefficient error", "time of a step, median")
+    head = ("estimator", "mean light error", "time of a step, median")
     return f'{table(head, rows, "stacking")}<p class="quiet">{about}</p>'
 
 
@@ -134,10 +134,10 @@ def _phones(trials: Sequence[Trial]) -> str:
     names, phones = (answers.names_of(trials, key) for key in ("estimator", "phone"))
     rows = _intervals(answers.phone_differences(trials), phones)
     about = "The same scene and seed through two phones, with 95 % intervals of the mean. Left: the first is better."
-    title = "Coefficient error: differences between phones"
+    title = "Light error: differences between phones"
     plot = drawings.differences(rows, title=title, about=about, axis_name="no unit")
     means = [(code(name), *(_mean_error(trials, estimator=name, phone=phone) for phone in phones)) for name in names]
-    head = ("mean coefficient error", *map(escape, phones))
+    head = ("mean light error", *map(escape, phones))
     by_phone = table(head, means, "stacking") if rows else ""
     return _answered(answers.is_a_better_phone_worth_it(trials), plot) + by_phone
 
@@ -286,7 +286,7 @@ def _how_made(results: BatchResults) -> str:
 def _by_scene(trials: Sequence[Trial]) -> str:
     names, scenes = (answers.names_of(trials, key) for key in ("estimator", "scene"))
     rows = [(escape(scene), *(_mean_error(trials, estimator=n, scene=scene) for n in names)) for scene in scenes]
-    return block("Mean coefficient error by scene", table(("scene", *map(code, names)), rows, "stacking"))
+    return block("Mean light error by scene", table(("scene", *map(code, names)), rows, "stacking"))
 
 
 def _quantiles(trials: Sequence[Trial]) -> str:
