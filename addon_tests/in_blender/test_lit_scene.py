@@ -17,7 +17,7 @@ from shown_lights import keyed, shown_light
 from tiny_scenes import box, material, opened, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
-from xihe_blender.addon.run_settings import choices_of_run
+from xihe_blender.addon.run_settings import choices_of_run, choose_as_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
 from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, RUN_BESIDE, has_anything, lit_scene
 from xihe_blender.apply.keyed_camera import key_camera
@@ -207,6 +207,9 @@ def test_the_panel_of_the_lit_file_has_the_runs_settings(ran, tmp_path, told):
         scene = opened(tmp_path / "untitled_lit.blend")
         chosen = choices_of_run(scene) | {"effect_choices": remembered_overrides(scene)}
         chosen["frames"] = chosen["frames"] or tuple(range(1, N_FRAMES + 1))
+        scene.xihe.effects.add()
+        choose_as_run(scene, read_results(tmp_path))
+        assert len(scene.xihe.effects) == 1, "the list of effects is of the same phone"
     run = read_results(tmp_path).settings
     wanted = {name: getattr(run, name, None) for name in chosen}
     is_split = told == "theta above noise" or "trigger" not in TOLD[told]

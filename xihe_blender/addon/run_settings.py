@@ -110,8 +110,10 @@ def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
         "seed": made.seed,
     }
     for name, value in choices.items():
-        with contextlib.suppress(TypeError):
-            setattr(scene.xihe, name, value)
+        # A phone that is chosen again would have the list of effects made anew.
+        if getattr(scene.xihe, name) != value:
+            with contextlib.suppress(TypeError):
+                setattr(scene.xihe, name, value)
     remember_overrides(scene, made.effect_choices)
 
 
