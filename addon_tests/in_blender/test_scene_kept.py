@@ -6,11 +6,11 @@ import bpy
 import pytest
 from previs_runs import SMALL, run, run_some_steps, walk
 from scene_snapshot import data_blocks, differences, snapshot
-from tiny_scenes import add_lamp, box, key, light_strength, phone
+from tiny_scenes import add_lamp, box, empty_scene, key, light_strength, phone
 
 from xihe_blender.addon.results_in_blender import remove_everything
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
-from xihe_blender.scene.state import scene_kept
+from xihe_blender.scene.state import animated_paths, scene_kept
 
 SHORT = replace(SMALL, samples=2, frames=(1, 4))
 
@@ -128,6 +128,44 @@ def test_keys_of_the_users_settings_leave_a_working_scene_alone():
         rendered = working.view_layers[0].depsgraph.scene_eval
         assert (rendered.cycles.samples, rendered.view_settings.exposure) == (3, 0.25)
         assert rendered["height"] == pytest.approx(4.0, abs=0.5)
+    assert differences(before, snapshot()) == ({}, [])
+
+
+def put_into_another_strip(track):
+    """Blender makes such strips in its editor alone."""
+    track.select = track.strips[0].select = True
+    (area, *_), window = bpy.context.window.screen.areas, bpy.context.window
+    kind, area.type = area.type, "NLA_EDITOR"
+    with bpy.context.temp_override(window=window, area=area, region=area.regions[-1]):
+        bpy.ops.nla.meta_add()
+    area.type = kind
+    assert [strip.type for strip in track.strips] == ["META"]
+
+
+@pytest.mark.parametrize("place", ["a strip", "a strip within another", "a strip that is being tweaked"])
+def test_strips_of_the_nla_move_custom_properties_of_a_working_scene_alone(place):
+    scene = empty_scene()
+    scene["height"] = 0.0
+    for frame, height in {1: 1.0, 5: 5.0}.items():
+        scene.cycles.samples, scene["height"] = 10 * frame, height
+        for path in ("cycles.samples", '["height"]'):
+            scene.keyframe_insert(path, frame=frame)
+    animation = scene.animation_data
+    track = animation.nla_tracks.new()
+    track.strips.new("Strip", 1, animation.action)
+    animation.action = None
+    if place == "a strip within another":
+        put_into_another_strip(track)
+    if place == "a strip that is being tweaked":
+        track.select, animation.nla_tracks.active = True, track
+        track.strips[0].select = animation.use_tweak_mode = True
+        assert animation.action is not None
+    before = snapshot()
+    assert animated_paths(scene) == {"cycles.samples", '["height"]'}
+    with working_scene(scene, "Working", RenderSettings((8, 6), samples=3)) as working:
+        working.frame_set(4)
+        rendered = working.view_layers[0].depsgraph.scene_eval
+        assert rendered.cycles.samples == 3 and rendered["height"] == pytest.approx(4.0, abs=0.5)
     assert differences(before, snapshot()) == ({}, [])
 
 

@@ -33,21 +33,20 @@ def copied_scene(scene: bpy.types.Scene) -> bpy.types.Scene:
         return copy
     for driver in [driver for driver in animation.drivers if not _is_custom(driver.data_path)]:
         animation.drivers.remove(driver)
-    for track in list(animation.nla_tracks):
-        animation.nla_tracks.remove(track)
-    if animation.action is not None:
-        animation.action = animation.action.copy()
-        animation.action[WORKING] = scene.name
-        for curves in _curve_lists(animation.action):
+    animation.use_tweak_mode = False  # In it actions cannot be changed.
+    for holder in _with_an_action(copy):
+        holder.action = holder.action.copy()
+        holder.action[WORKING] = scene.name
+        for curves in _curve_lists(holder.action):
             for curve in [curve for curve in curves if not _is_custom(curve.data_path)]:
                 curves.remove(curve)
     return copy
 
 
 def remove_copied_scene(copy: bpy.types.Scene) -> None:
-    action = copy.animation_data.action if copy.animation_data is not None else None
+    actions = {holder.action for holder in _with_an_action(copy) if WORKING in holder.action}
     bpy.data.scenes.remove(copy)
-    if action is not None and WORKING in action:
+    for action in actions:
         bpy.data.actions.remove(action)
 
 
@@ -121,9 +120,19 @@ def animated_paths(owner: bpy.types.ID) -> set[str]:
     animation = getattr(owner, "animation_data", None)
     if animation is None:
         return set()
-    actions = [animation.action, *(strip.action for track in animation.nla_tracks for strip in track.strips)]
-    lists = [curves for action in actions if action is not None for curves in _curve_lists(action)]
+    lists = [curves for holder in _with_an_action(owner) for curves in _curve_lists(holder.action)]
     return {curve.data_path for curves in (*lists, animation.drivers) for curve in curves}
+
+
+def _with_an_action(owner: bpy.types.ID) -> list[Any]:
+    """What of the animation of `owner` has an action: itself, and its strips in the NLA, those within others too."""
+    animation = owner.animation_data
+    if animation is None:
+        return []
+    strips = [strip for track in animation.nla_tracks for strip in track.strips]
+    for strip in strips:
+        strips += strip.strips
+    return [holder for holder in (animation, *strips) if holder.action is not None]
 
 
 def _curve_lists(action: bpy.types.Action) -> list[Any]:
