@@ -15,7 +15,10 @@ MINUS = "\N{MINUS SIGN}"
 
 
 def format_number(value: float | None, digits: int = 3) -> str:
-    """`value` with so many significant digits, without an exponent from 0.0001 to ten million; a dash for None."""
+    """`value` with so many significant digits, without an exponent from 0.0001 to ten million; a dash for None.
+
+    Like all words here it has a true minus.
+    """
     if value is None:
         return DASH
     if value == 0:
@@ -23,8 +26,12 @@ def format_number(value: float | None, digits: int = 3) -> str:
     # Of the rounded value: 0.09996 is 0.100.
     exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
     if not -5 < exponent < 7:
-        return f"{value:.{digits - 1}e}"
-    return f"{value:,.{max(0, digits - 1 - exponent)}f}"
+        return _with_minus(f"{value:.{digits - 1}e}")
+    return _with_minus(f"{value:,.{max(0, digits - 1 - exponent)}f}")
+
+
+def _with_minus(number: str) -> str:
+    return MINUS + number[1:] if number.startswith("-") else number
 
 
 def format_signed(value: float | None) -> str:
@@ -45,7 +52,12 @@ def format_percent(share: float | None, digits: int | None = None) -> str:
         return DASH
     if digits is not None:
         return format_quantity(100 * share, "%", digits)
-    return f"{100 * share:.{0 if abs(share) >= 0.0995 or share == 0 else 1}f} %"
+    return _with_minus(f"{100 * share:.{0 if abs(share) >= 0.0995 or share == 0 else 1}f} %")
+
+
+def format_position(position_m: Sequence[float]) -> str:
+    """In metres, by the centimetre: "0.50, 1.20, 0.80"."""
+    return ", ".join(_with_minus(f"{metres:.2f}") for metres in position_m)
 
 
 def format_share(share: float) -> str:

@@ -17,6 +17,7 @@ from xihenet.formats import (
     format_names,
     format_number,
     format_percent,
+    format_position,
     format_runs,
     format_setting,
     format_share,
@@ -28,9 +29,13 @@ from xihenet.svg import linear_axis, log_axis
 def test_numbers_keep_their_value_when_they_become_text():
     rng = np.random.default_rng(7)
     for value in [*(10.0 ** rng.uniform(-12, 12, 200)), *(-(10.0 ** rng.uniform(-3, 3, 50))), 0.09996, 99.96, 0.0]:
-        assert float(format_number(value).replace(",", "")) == pytest.approx(value, rel=6e-3)
+        text = format_number(value).replace(",", "")
+        assert float(text.replace("\N{MINUS SIGN}", "-")) == pytest.approx(value, rel=6e-3)
+        assert text.startswith("\N{MINUS SIGN}") == (value < 0) and not text.startswith("-")
     assert (format_number(None), format_percent(None)) == ("\N{EN DASH}", "\N{EN DASH}")
     assert format_percent(0.31) == "31 %" and format_percent(0.004) == "0.4 %"
+    assert format_percent(-0.31) == "\N{MINUS SIGN}31 %" and format_percent(-0.31, 1) == "\N{MINUS SIGN}31 %"
+    assert format_position((0.5, -1.204, 2)) == "0.50, \N{MINUS SIGN}1.20, 2.00"
     assert format_runs([1, 2, 4, 5, 6, 9]) == "1, 2, 4\N{EN DASH}6, 9"
 
 

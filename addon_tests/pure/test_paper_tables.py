@@ -6,6 +6,7 @@ import pytest
 
 from xihe_blender.lab.paper.records import Row
 from xihe_blender.lab.paper.tables import table_lines, tables_of
+from xihenet.formats import MINUS
 
 
 def row(what, value=1.0, unit="ms", n=3, work="same work", paper=None):
@@ -24,7 +25,7 @@ def test_names_with_a_colon_are_a_table_and_the_rest_a_list():
     rows = [row(f"{place}: {what}", k) for k, place in enumerate(("hall", "attic")) for what in ("mean", "worst")]
     lines = page(*rows, row("all rooms together", 7.0))
     assert lines[0] == "*ms, 3 calls, same work*" and lines[2] == "| | mean | worst |"
-    assert lines[4] == "| hall | 0 (-0.500 to 0.500) | 0 (-0.500 to 0.500) |"
+    assert lines[4] == f"| hall | 0 ({MINUS}0.500 to 0.500) | 0 ({MINUS}0.500 to 0.500) |"
     assert lines[-2] == "| all rooms together | 7 ms |  | 3 calls |  | same work |"
 
 

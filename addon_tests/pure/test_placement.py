@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.made import frame_of, pose_of
+from xihe_blender.io.placement_results import Place, PlacementResults, Verified
+from xihe_blender.report.placement import write_placement_report
+from xihenet.formats import MINUS
+from xihenet.io.png import write_png
 from xihenet.records import Intrinsics
 from xihenet.walk.placement import air_places, places_among, rank_correlation, rank_correlation_interval, upward_points
 
@@ -137,3 +141,20 @@ def test_the_interval_holds_the_correlation_and_narrows_with_more_pairs():
         assert low < rank_correlation(a, b) < high
         widths.append(high - low)
     assert widths[1] < widths[0] / 3
+
+
+def test_the_report_of_a_single_place_counts_it_in_the_singular_and_has_true_minus_signs(tmp_path):
+    picture = tmp_path / "above.png"
+    write_png(picture, np.zeros((2, 2, 3), np.uint8))
+    place = Place(position_m=(-0.5, 1.0, 0.25), coverage=0.5, expected_error=0.1, irradiance=(1.0, -0.001, 0.5))
+    verified = Verified(n_places=1, rank_correlation=-0.5, interval=(-0.9, 0.2), mean_error_of_best=None,
+                        mean_error_of_worst=None)  # fmt: skip
+    results = PlacementResults(
+        software={}, machine={}, scene="room.blend", settings={"estimator": "lattice"}, frames=(1,), exposure=1.0,
+        spacing_m=0.5, clearance_m=0.1, n_unknown=0, places=(place,), verified=verified,
+    )  # fmt: skip
+    write_placement_report(tmp_path / "report.html", results, (picture, picture))
+    page = (tmp_path / "report.html").read_text()
+    assert "1 places" not in page and "at 1 place, chosen" in page
+    for number in ("0.50, 1.00, 0.25", "0.00100", "0.50 (", "0.90 to 0.20"):
+        assert MINUS + number in page

@@ -9,6 +9,7 @@ from typing import Any
 from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.jobs import run_blocking
+from xihenet.formats import format_count
 
 SPACING = "distance between places, however many that makes; default: the smallest that --places allows"
 PLACES = "largest number of places; default: 1000"
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     job = placement(scene, options.out, settings, wanted, blend_file=options.scene, command=options.command_line)
     results = run_blocking(job, progress_line(stderr))
     known = results.best_first
-    line = f"{len(results.places)} places {results.spacing_m:.2f} m apart, {results.n_unknown} unknown"
+    line = f"{format_count(len(results.places), 'place')} {results.spacing_m:.2f} m apart, {results.n_unknown} unknown"
     if known:
         line += f"; expected error {known[0].expected_error:.3f} to {known[-1].expected_error:.3f}"
     print(line, file=stdout)

@@ -12,7 +12,7 @@ from statistics import median
 from xihe_blender.io.placement_results import ENOUGH, N_EXTREMES, RAMP, Place, PlacementResults, error_range
 from xihe_blender.report.document import document, png_url, table, write_document
 from xihe_blender.report.values import escape
-from xihenet.formats import format_count
+from xihenet.formats import format_count, format_number, format_position
 
 
 def write_placement_report(path: Path, results: PlacementResults, pictures: Sequence[Path]) -> None:
@@ -31,8 +31,8 @@ def write_placement_report(path: Path, results: PlacementResults, pictures: Sequ
     sections = [
         ("above", "From above", legend + above + rings),
         ("camera", "Through the phone", legend + camera),
-        ("best", f"The {min(N_EXTREMES, len(best))} best places", _table(best[:N_EXTREMES])),
-        ("worst", f"The {min(N_EXTREMES, len(best))} worst places", _table(best[::-1][:N_EXTREMES])),
+        ("best", "The best places", _table(best[:N_EXTREMES])),
+        ("worst", "The worst places", _table(best[::-1][:N_EXTREMES])),
         ("right", "How far this is right", _verified(results)),
     ]
     heading = f"Where AR light will fail: {escape(results.scene)}"
@@ -55,10 +55,10 @@ def _table(places: Sequence[Place]) -> str:
     head = ["x, y, z (m)", "expected error", "coverage", "estimated irradiance, upwards", "true error"]
     rows = [
         [
-            ", ".join(f"{c:.2f}" for c in place.position_m),
+            format_position(place.position_m),
             _number(place.expected_error),
             f"{place.coverage:.0%}",
-            "unknown" if place.irradiance is None else ", ".join(f"{c:.3g}" for c in place.irradiance),
+            "unknown" if place.irradiance is None else ", ".join(map(format_number, place.irradiance)),
             _number(place.true_error),
         ]
         for place in places
@@ -76,10 +76,12 @@ def _verified(results: PlacementResults) -> str:
         return (
             "<p>No light probe was rendered: <code>--verify N</code> renders some, and tells how right the map is.</p>"
         )
-    said = f"Light probes were rendered at {found.n_places} places, chosen evenly over the expected error. "
+    places = format_count(found.n_places, "place")
+    said = f"Light probes were rendered at {places}, chosen evenly over the expected error. "
     if found.rank_correlation is not None:
-        said += f"The rank correlation of expected and true error is {found.rank_correlation:.2f}"
-        said += f" ({found.interval[0]:.2f} to {found.interval[1]:.2f} with 95 %). " if found.interval else ". "
+        said += f"The rank correlation of expected and true error is {format_number(found.rank_correlation, 2)}"
+        between = " to ".join(format_number(end, 2) for end in found.interval or ())
+        said += f" ({between} with 95 %). " if between else ". "
     if found.n_places < ENOUGH:
         said += f"So few tell little: give <code>--verify</code> {ENOUGH} places or more. "
     if found.mean_error_of_best is not None and found.mean_error_of_worst is not None:

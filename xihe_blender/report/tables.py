@@ -27,6 +27,7 @@ from xihenet.formats import (
     format_list,
     format_number,
     format_percent,
+    format_position,
     format_quantity,
     format_runs,
     format_setting,
@@ -147,7 +148,7 @@ def _probes(timeline: Timeline) -> str:
 
 def _probe_row(index: int, name: str, seen: Sequence[ProbeResult]) -> list[str]:
     reasons = [format_trigger(probe.reason) for probe in seen if probe.fired]
-    place = ", ".join(f"{metres:.2f}".replace("-", MINUS) for metres in seen[-1].position_m)
+    place = format_position(seen[-1].position_m)
     by_reason = ", ".join(f"{reasons.count(reason)} {reason}" for reason in dict.fromkeys(reasons))
     return [
         f'<b class="key">{index + 1}</b> {escape(name)}',
