@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -90,6 +91,19 @@ def test_a_unit_that_a_scheduler_finished_meanwhile_is_not_made_again(tmp_path, 
     (tmp_path / "work").mkdir()
     write_result(tmp_path / "gone.blend", SEED, tmp_path, SMALL, io.StringIO())
     assert read_result(tmp_path, tmp_path / "gone.blend") == whole[0] and (tmp_path / "work").is_dir()
+
+
+@pytest.mark.slow
+def test_a_unit_that_a_scheduler_finishes_while_it_is_made_again_is_done(tmp_path, whole, file):
+    class Shares(io.StringIO):
+        def write(self, text):
+            if list(tmp_path.rglob("compared_*.json")):
+                write_json(result_file(tmp_path), as_json(whole[0]))
+                shutil.rmtree(tmp_path / "work", ignore_errors=True)
+            return super().write(text)
+
+    write_result(file, SEED, tmp_path, SMALL, Shares())
+    assert read_result(tmp_path, file) == whole[0]
 
 
 @pytest.mark.slow

@@ -45,7 +45,8 @@ def main() -> int:
 def write_result(scene: Path, seed: int, folder: Path, settings: BatchSettings, shares: IO[str]) -> None:
     """Evaluate the unit and leave its result, and the pictures of worst frames, in its folder; tell `shares`.
 
-    Nothing is done where the result is there: a scheduler may still have finished it for a batch that was stopped.
+    Nothing is done where the result is there: a scheduler may still have finished it for a batch that was stopped. It
+    may do so during this, too, and removes what was rendered.
     """
     from xihe_blender.lab.batch.unit import evaluate_unit
 
@@ -55,7 +56,12 @@ def write_result(scene: Path, seed: int, folder: Path, settings: BatchSettings, 
     if read_result(folder, scene) is not None:
         return
     result_file(folder).unlink(missing_ok=True)  # One that is damaged: should this one fail, nobody reads it again.
-    done = run_blocking(evaluate_unit(scene, folder, settings, seed), tell)
+    try:
+        done = run_blocking(evaluate_unit(scene, folder, settings, seed), tell)
+    except (OSError, UserError):
+        if read_result(folder, scene) is not None:
+            return
+        raise
     write_json(result_file(folder), as_json(done))
     for intermediate in ("work", "radiance", "pictures"):
         shutil.rmtree(folder / intermediate, ignore_errors=True)
