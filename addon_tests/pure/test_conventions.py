@@ -11,6 +11,7 @@ from addon_tests.pure.made import UPRIGHT, about_z, pose_of
 from addon_tests.pure.recordings import looking
 from xihenet.camera import pixel_rays
 from xihenet.captures.conventions import suspect
+from xihenet.captures.reading.values import quaternion_of, rotation_of
 from xihenet.captures.self_fit import AS_READ, Recording
 from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA, BLENDER_FROM_UP
 
@@ -18,6 +19,12 @@ from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA, BLENDER_FROM_UP
 def transposed(pose):
     turned = pose.copy()
     turned[:3, :3] = pose[:3, :3].T
+    return turned
+
+
+def w_first(pose):
+    turned = pose.copy()
+    turned[:3, :3] = rotation_of(np.roll(quaternion_of(pose[:3, :3]), 1))
     return turned
 
 
@@ -38,6 +45,7 @@ WRONG = {
     ("camera axes", AS_READ): posed(lambda pose: pose @ BLENDER_FROM_OPENCV_CAMERA),
     ("transposed", AS_READ): posed(transposed),
     ("inverse", AS_READ): posed(np.linalg.inv),
+    ("w first", AS_READ): posed(w_first),
     (AS_READ, "10 x"): scaled(10),
     (AS_READ, "ray distance"): as_ray_distance,
 }

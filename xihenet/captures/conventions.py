@@ -31,6 +31,7 @@ SAID_OF_POSES = {
     "transposed": ("The rotations of the poses look transposed", "transposed again they fit"),
     "inverse": ("The poses look like camera-from-world", "their inverse fits"),
     "inverse, camera axes": ("The poses look like camera-from-world of cameras that look {axes}", "their inverse fits"),
+    "w first": ("The poses' quaternions look as if w came first", "as w x y z they fit"),
 }
 SAID_OF_DEPTH = {
     "5 x": ("The depth looks 5 times too large", "divided by 5 it fits"),

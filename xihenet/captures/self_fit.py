@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xihenet.camera import pixel_rays, pixels_in_view
+from xihenet.captures.reading.values import quaternion_of, rotation_of
 from xihenet.captures.seen_again import away_from_edges, thinned
 from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
@@ -27,7 +28,7 @@ FEWEST_PAIRS = 3  # With at least FEWEST_OF_PAIR of them each
 FEWEST_OF_PAIR = 20
 
 AS_READ = "as read"
-POSES = (AS_READ, "camera axes", "transposed", "inverse", "inverse, camera axes")
+POSES = (AS_READ, "camera axes", "transposed", "inverse", "inverse, camera axes", "w first")
 DEPTHS = {
     AS_READ: 1.0,
     "5 x": 5.0,
@@ -144,7 +145,7 @@ def _view(frame: RgbdFrame, file_from_blender: ArrayF64) -> _View:
 
 
 def _far_enough_apart(poses: list[ArrayF64]) -> ArrayBool:
-    """(N, N) bool; the angle between two cameras is the same under every convention."""
+    """(N, N) bool; the angle between two cameras is the same under every convention but that of quaternions."""
     if not poses:
         return np.zeros((0, 0), bool)
     stacked = np.stack(poses)
@@ -160,6 +161,8 @@ def _corrected(pose: ArrayF64, poses: str) -> ArrayF64:
     pose = pose.copy()
     if poses.startswith(("transposed", "inverse")):
         pose[:3, :3] = pose[:3, :3].T.copy()
+    if poses == "w first":
+        pose[:3, :3] = rotation_of(np.roll(quaternion_of(pose[:3, :3]), -1))
     if poses.startswith("inverse"):
         pose[:3, 3] = -pose[:3, :3] @ pose[:3, 3]
     return pose
