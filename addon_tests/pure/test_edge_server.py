@@ -374,6 +374,12 @@ def test_head_is_answered_as_get_without_the_body(server, path):
     assert b"204 No Content" in heads["OPTIONS"] and b"Allow: GET, HEAD, OPTIONS" in heads["OPTIONS"]
 
 
+def test_a_request_may_name_the_whole_address_as_proxies_do(server):
+    for address in (b"http://xihe/health?a=b", b"https://xihe:8550/health"):
+        answer = server.raw(b"GET " + address + b" HTTP/1.1\r\nHost: xihe\r\nConnection: close\r\n\r\n")
+        assert b" 200 OK" in answer and b'"estimator": "lattice"' in answer
+
+
 def _routes():
     from xihenet.edge.server import ROUTES
 

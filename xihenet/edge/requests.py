@@ -55,6 +55,8 @@ class Request(httputil.HTTPMessageDelegate):
             raise httputil.HTTPInputError("expected one Host header")
         self.method: str = start_line.method
         target: str = start_line.path
+        if not target.startswith("/"):  # Proxies may send the whole address.
+            target = "/" + target.partition("://")[2].partition("/")[2]
         self.path, _, self.query = target.partition("?")
         self.headers = headers
         said = headers.get("Connection", "").lower()
