@@ -38,21 +38,27 @@ from xihenet.light.environments import HEIGHT, encode_hdr, environment_picture, 
 from xihenet.light.exports import NamedLight, export_files
 from xihenet.light.key_light import rest_of, sh_of_key_light
 from xihenet.light.platforms import PLATFORMS
-from xihenet.panorama import evaluate_panorama
+from xihenet.panorama import evaluate_panorama, panorama_directions
 from xihenet.records import ArrayF64, KeyLight, ObjectLight
 
 HERE = Path(__file__).parent
-ENGINES = ("three", "babylon", "filament", "playcanvas", "model-viewer")
+ENGINES = ("three", "babylon", "gltf", "filament", "playcanvas", "model-viewer")
 BOUND = 0.02
 BOUNDS = {"model-viewer": 0.05}
 EXCEPTIONS = {("model-viewer", "below_zero"): 0.08}
 """model-viewer blurs the picture by the lobe of a rough surface, which is not quite that of a matt one."""
 
-CLAMPS = {"babylon", "filament"}
+CLAMPS = {"babylon", "gltf", "filament"}
 """Engines in which a surface that sends back less than nothing is black."""
 
 SIDE = 64
 SAMPLES = 256
+GLOSSY = {"mirror": (0.0, 0.02), "rough": (0.56, 0.08)}
+"""Of metal under a glTF file: roughness, and how far it may be off."""
+
+MIDDLE = 0.7
+"""Of the radius of a metal sphere, within which its reflection is held against the lobe along the normal."""
+
 WEBXR_OFF = 1e-5
 """Its numbers are float32."""
 
@@ -180,7 +186,8 @@ def versions_drawn(drawing: subprocess.Popen[str]) -> dict[str, str]:
 def written(out: Path, name: str, engine: str, light: ObjectLight, mistake: Callable[..., None] | None = None) -> None:
     folder = out / "lights" / name / engine
     folder.mkdir(parents=True, exist_ok=True)
-    files = export_files([NamedLight("Sphere", 1, 0.0, light)], engine)
+    panorama = colours_of_directions(panorama_directions(HEIGHT, 2 * HEIGHT)) if name in GLOSSY else None
+    files = export_files([NamedLight("Sphere", 1, 0.0, light, panorama)], engine)
     content = json.loads(files[f"{engine}.json"])
     if PLATFORMS[engine].picture:
         picture = environment_picture(light, PLATFORMS[engine])
@@ -190,6 +197,11 @@ def written(out: Path, name: str, engine: str, light: ObjectLight, mistake: Call
     elif mistake is not None:
         sh = np.reshape(content["lights"][0]["sh"], (9, 3))
         content["lights"][0]["sh"] = mistake(None, sh).ravel().tolist()
+        if engine == "gltf":
+            document = json.loads(files["Sphere_0001.gltf"])
+            of_image = document["extensions"]["EXT_lights_image_based"]["lights"][0]
+            of_image["irradianceCoefficients"] = mistake(None, sh).tolist()
+            files["Sphere_0001.gltf"] = json.dumps(document).encode()
     files[f"{engine}.json"] = json.dumps(content).encode()
     for file, content_of in files.items():
         (folder / file).write_bytes(content_of)
@@ -232,6 +244,44 @@ MISTAKES: dict[str, Callable[[Any, Any], Any]] = {
 """What is exported wrong on purpose; for a picture mirrored, upside down, and a quarter turn in place of the swap."""
 
 
+def colours_of_directions(directions: ArrayF64) -> ArrayF64:
+    """Light from 0.2 to 3.8: red from +X, green from +Y, blue from +Z of Blender's, and brighter than white."""
+    return 2 + 1.8 * directions
+
+
+def wrong_in_cube_maps(out: Path) -> list[str]:
+    """Which metal spheres under a glTF file do not reflect `colours_of_directions`, by closed form."""
+    wrong = []
+    places = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
+    across, down = np.meshgrid(places, places)
+    inside = np.hypot(across, down) < MIDDLE
+    for name, (roughness, bound) in GLOSSY.items():
+        for view in VIEWS:
+            sign = 1 if view == "front" else -1
+            towards = np.sqrt(np.maximum(1 - across**2 - down**2, 0))
+            normals = np.stack([across * sign, -towards * sign, -down], axis=-1)
+            looks = np.array([0.0, 1.0, 0.0]) * sign
+            reflected = looks - 2 * (normals @ looks)[..., None] * normals
+            expected = 2 + 1.8 * kept_by_lobe(roughness**2) * reflected
+            drawn = np.fromfile(out / "drawn" / "gltf" / f"{name}_{view}.f32", np.float32).reshape(SIDE, SIDE, 3)
+            if roughness:
+                # Under light that is the same from everywhere it draws rough metal darker as well.
+                drawn *= expected[inside].mean() / drawn[inside].mean()
+            off = float(np.abs(drawn - expected)[inside].mean() / expected[inside].mean())
+            print(f"gltf: a {name} metal, {view}: {off:.2%} off")
+            wrong += [f"gltf: a {name} metal, {view}, is {off:.2%} off"] * (off > bound)
+    return wrong
+
+
+def kept_by_lobe(alpha: float) -> float:
+    """How much of light that is linear in direction GGX keeps along the normal: the mean cosine of its lobe."""
+    if alpha == 0:
+        return 1.0
+    cosine = (np.arange(100_000) + 0.5) / 100_000
+    lobe = cosine / (1 - (1 - alpha**2) * (1 + cosine) / 2) ** 2
+    return float((cosine * lobe).sum() / lobe.sum())
+
+
 def error_of(out: Path, engine: str, name: str, truth: dict[str, ArrayF64]) -> float:
     """Mean difference over both views of the sphere, relative to the mean of Cycles."""
     places = (np.arange(SIDE) + 0.5) / SIDE * 2 - 1
@@ -260,7 +310,9 @@ def main() -> None:
             written(out, name, engine, light)
         for number, mistake in enumerate(MISTAKES.values()):
             written(out, f"mistake_{number}", engine, lights["living_room"], mistake)
-    drawing = start_drawing(out, options.engines, names)
+        for name in GLOSSY:
+            written(out, name, engine, lights["constant"])
+    drawing = start_drawing(out, options.engines, [*names, *GLOSSY])
     truths = {}
     with sphere_in_cycles() as drawn:
         for name, light in lights.items():
@@ -271,6 +323,8 @@ def main() -> None:
                 truths[name, True] = drawn(light, np.maximum(radiance, 0))
     versions = versions_drawn(drawing)
     failed = wrong_in_webxr(out, lights)
+    if "gltf" in options.engines:
+        failed += wrong_in_cube_maps(out)
     for engine in options.engines:
         is_picture = PLATFORMS[engine].picture is not None
         own = [name for name in by_engine[engine] if name in lights]

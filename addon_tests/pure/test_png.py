@@ -9,7 +9,7 @@ from xihenet.io.png import SIGNATURE, encode_png, write_png
 
 
 def decode_png(content):
-    """A decoder for 8-bit RGB with filters 0 and 1, written from the specification, and strict."""
+    """A decoder for 8-bit RGB and RGBA with filters 0 and 1, written from the specification, and strict."""
     assert content.startswith(SIGNATURE)
     place, chunks = len(SIGNATURE), {}
     while place < len(content):
@@ -18,18 +18,20 @@ def decode_png(content):
         assert zlib.crc32(kind + body) == int.from_bytes(content[place + 8 + size : place + 12 + size], "big")
         chunks[kind] = body
         place += 12 + size
-    assert list(chunks)[-1] == b"IEND" and chunks[b"IHDR"][8:] == bytes([8, 2, 0, 0, 0])
+    channels = {2: 3, 6: 4}[chunks[b"IHDR"][9]]
+    assert list(chunks)[-1] == b"IEND" and chunks[b"IHDR"][8] == 8 and chunks[b"IHDR"][10:] == bytes([0, 0, 0])
     width, height = (int.from_bytes(chunks[b"IHDR"][k : k + 4], "big") for k in (0, 4))
-    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(height, 1 + 3 * width)
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(height, 1 + channels * width)
     assert set(rows[:, 0]) <= {0, 1}
-    pixels = rows[:, 1:].reshape(height, width, 3)
+    pixels = rows[:, 1:].reshape(height, width, channels)
     filtered = rows[:, 0, None, None] == 1
     return np.where(filtered, np.cumsum(pixels, axis=1, dtype=np.uint64).astype(np.uint8), pixels)
 
 
+@pytest.mark.parametrize("channels", [3, 4])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (48, 64)])
-def test_pixels_come_back(shape):
-    pixels = np.random.default_rng(0).integers(0, 256, (*shape, 3), dtype=np.uint8)
+def test_pixels_come_back(shape, channels):
+    pixels = np.random.default_rng(0).integers(0, 256, (*shape, channels), dtype=np.uint8)
     np.testing.assert_array_equal(decode_png(encode_png(pixels)), pixels)
 
 

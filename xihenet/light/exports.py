@@ -21,12 +21,11 @@ from typing import Any
 import numpy as np
 
 from xihenet import __version__
-from xihenet.colour import linear_to_srgb
 from xihenet.io.png import encode_png
+from xihenet.light.cube_maps import cube_levels, encode_rgbd
 from xihenet.light.environments import encode_hdr, environment_picture, laid_out, reflections_picture
 from xihenet.light.platforms import (
     PLATFORMS,
-    Y_UP,
     Convention,
     Layout,
     MainLight,
@@ -42,17 +41,6 @@ REFLECTIONS: Layout = "+X"
 
 NAME_BYTES = 60
 """Of a file's name for the object, which engines and file systems all take."""
-
-CUBE_SIDE = 32
-# Of a cube map, in its order, Y up: the direction of the middle, of the right edge and of the upper one.
-CUBE_FACES = (
-    ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
-    ((0, 1, 0), (1, 0, 0), (0, 0, -1)),
-    ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
-    ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
-    ((0, 0, -1), (-1, 0, 0), (0, 1, 0)),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +172,8 @@ def _entry(
     if platform == "gltf":
         picture = environment_picture(one.light, known) if reflected is None else reflected
         assert convention is not None
-        faces = cube_faces(picture, convention.axes_of_soft_light)
-        files[f"{stem}.gltf"] = _json(gltf_document(entry["sh"], main, faces))
+        levels = cube_levels(picture, convention.axes_of_soft_light)
+        files[f"{stem}.gltf"] = _json(gltf_document(entry["sh"], main, levels))
     return entry, files
 
 
@@ -237,9 +225,11 @@ def Xform "Light"
 """
 
 
-def gltf_document(coefficients: Sequence[float], main: MainLight | None, faces: Sequence[ArrayF64]) -> dict[str, Any]:
-    """A scene lit by EXT_lights_image_based, with the `cube_faces`, and by KHR_lights_punctual."""
-    pictures = [base64.b64encode(encode_png(face)).decode() for face in faces]
+def gltf_document(coefficients: Sequence[float], main: MainLight | None, levels: Sequence[ArrayF64]) -> dict[str, Any]:
+    """A scene lit by EXT_lights_image_based, with the `cube_levels`, and by KHR_lights_punctual."""
+    # The extension has each face flipped, and Babylon.js turns it back: rows begin at the lower edge.
+    faces = [encode_png(encode_rgbd(face[::-1])) for level in levels for face in level]
+    pictures = [base64.b64encode(face).decode() for face in faces]
     nodes = {} if main is None else {"nodes": [0]}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": f"xihe {__version__}"},
@@ -255,8 +245,8 @@ def gltf_document(coefficients: Sequence[float], main: MainLight | None, faces: 
                         "intensity": 1.0,
                         "rotation": [0, 0, 0, 1],
                         "irradianceCoefficients": np.reshape(coefficients, (9, 3)).tolist(),
-                        "specularImageSize": CUBE_SIDE,
-                        "specularImages": [list(range(6))],
+                        "specularImageSize": levels[0].shape[1],
+                        "specularImages": np.arange(len(faces)).reshape(-1, 6).tolist(),
                     }
                 ]
             }
@@ -270,24 +260,6 @@ def gltf_document(coefficients: Sequence[float], main: MainLight | None, faces: 
         extension = {"KHR_lights_punctual": {"light": 0}}
         document["nodes"] = [{"name": "Key", "rotation": [x, y, z, w], "extensions": extension}]
     return document
-
-
-def cube_faces(picture: ArrayF64, axes: ArrayF64 = Y_UP, side: int = CUBE_SIDE) -> list[ArrayF64]:
-    """Six uint8 sRGB pictures of a panorama laid out as ours, clipped at white, +X, -X, +Y, -Y, +Z, -Z with Y up.
-
-    `axes` are those of the cube, as of `Convention`.
-    """
-    height, width = picture.shape[:2]
-    places = (np.arange(side) + 0.5) / side * 2 - 1
-    right, down = np.meshgrid(places, places)
-    faces = []
-    for middle, to_right, up in np.array(CUBE_FACES, float):
-        direction = middle + right[..., None] * to_right - down[..., None] * up
-        x, y, z = np.moveaxis(direction / np.linalg.norm(direction, axis=-1, keepdims=True) @ axes, -1, 0)
-        row = np.clip((np.arccos(np.clip(z, -1, 1)) / np.pi * height).astype(int), 0, height - 1)
-        column = ((0.75 - np.arctan2(y, x) / (2 * np.pi)) % 1 * width).astype(int) % width
-        faces.append(np.rint(linear_to_srgb(np.clip(picture[row, column], 0, 1)) * 255).astype(np.uint8))
-    return faces
 
 
 def turn_from_minus_z(travel: Sequence[float]) -> tuple[float, float, float, float]:
