@@ -1,5 +1,6 @@
 """A file that calculates in Rec.2020 or ACEScg is seen, lit and exported in the colours of Rec.709."""
 
+import json
 import os
 import subprocess
 import sys
@@ -13,15 +14,22 @@ from renders import captured, rendered
 from tiny_scenes import box, empty_scene, material, orthographic, phone, room_with_a_virtual_sphere, set_world, sphere
 
 from addon_tests.pure.made import constant
+from xihe_blender.addon.placement_map import Squares
 from xihe_blender.apply.applied_lights import lights_of_scene
 from xihe_blender.apply.datablocks import world_name
 from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, sun_name
+from xihe_blender.apply.placement_map import show_placement_map
 from xihe_blender.apply.reflection_pictures import reflect_in_world, reflect_on_timeline
 from xihe_blender.apply.sh_worlds import key_light_changes, make_sh_world
 from xihe_blender.footage.scan_object import add_scan
 from xihe_blender.io.exr import write_radiance
+from xihe_blender.io.placement_results import Place, error_range
 from xihe_blender.io.run_lights import LightsAsked
+from xihe_blender.scene.colour_management import in_working_space
+from xihe_blender.scene.shader_nodes import new_material
+from xihe_blender.viewer.gltf import viewed_objects
 from xihenet.captures.scan import ScanMesh
+from xihenet.colour import linear_to_srgb
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import KeyLight
 
@@ -114,6 +122,72 @@ def test_light_is_read_back_from_a_file_in_rec709(change_working_space):
     (found,) = lights_of_scene(scene, LightsAsked())
     np.testing.assert_allclose(found.light.key.irradiance, key.irradiance, rtol=1e-3)
     np.testing.assert_allclose(found.light.sh, light + sh_of_key_light(key), atol=1e-3)
+
+
+@pytest.fixture
+def painted_ball(change_working_space):
+    """Its scene, the ball, and the shader of its only material."""
+    scene = room_with_a_virtual_sphere()
+    change_working_space()
+    ball, shown = bpy.data.objects["Ball"], new_material("Painted")
+    shown.node_tree.nodes.clear()
+    shader, output = (shown.node_tree.nodes.new(f"ShaderNode{kind}") for kind in ("BsdfPrincipled", "OutputMaterial"))
+    shown.node_tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    ball.data.materials.clear()
+    ball.data.materials.append(shown)
+    return scene, ball, shader
+
+
+@since_blender_5
+def test_materials_of_a_viewer_have_their_own_colours(painted_ball):
+    scene, ball, shader = painted_ball
+    shader.inputs["Emission Strength"].default_value = 0.5
+    for name, colour in (("Base Color", ORANGE), ("Emission Color", ORANGE[::-1]), ("Specular Tint", ORANGE)):
+        shader.inputs[name].default_value = (*in_working_space(np.array(colour)), 1)
+    (material,) = glb_of(scene, ball)[0]["materials"]
+    np.testing.assert_allclose(material["pbrMetallicRoughness"]["baseColorFactor"], (*ORANGE, 1), atol=1e-3)
+    np.testing.assert_allclose(material["emissiveFactor"], np.array(ORANGE[::-1]) / 2, atol=1e-3)
+    tint = material["extensions"]["KHR_materials_specular"]["specularColorFactor"]
+    np.testing.assert_allclose(tint, ORANGE, atol=1e-3)
+
+
+@since_blender_5
+@pytest.mark.parametrize("kind", ["BYTE_COLOR", "FLOAT_COLOR"])
+def test_vertices_of_a_viewer_have_their_own_colours(painted_ball, kind):
+    scene, ball, shader = painted_ball
+    painted = ball.data.color_attributes.new("Painted", kind, "POINT")
+    is_light = kind == "FLOAT_COLOR"
+    stored = in_working_space(np.array(ORANGE)) if is_light else linear_to_srgb(ORANGE)
+    painted.data.foreach_set("color" if is_light else "color_srgb", np.tile([*stored, 1], len(painted.data)))
+    colour = shader.id_data.nodes.new("ShaderNodeVertexColor")
+    colour.layer_name = "Painted"
+    shader.id_data.links.new(colour.outputs[0], shader.inputs["Base Color"])
+    document, binary = glb_of(scene, ball)
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    number, white = {5121: ("u1", 255), 5123: ("<u2", 65535), 5126: ("<f4", 1)}[accessor["componentType"]]
+    np.testing.assert_allclose(np.frombuffer(binary, number, 3, start) / white, ORANGE, atol=0.01)
+
+
+def glb_of(scene, item):
+    """The document and the binary part of an object of the viewer; whole."""
+    glb = viewed_objects(scene, [item], [1])[0].glb
+    length = int.from_bytes(glb[12:16], "little")
+    assert int.from_bytes(glb[8:12], "little") == len(glb) and length % 4 == 0
+    assert int.from_bytes(glb[20 + length : 24 + length], "little") == len(glb) - 28 - length
+    return json.loads(glb[20 : 20 + length]), glb[28 + length :]
+
+
+@since_blender_5
+def test_squares_of_a_map_have_their_own_colours(change_working_space, tmp_path):
+    scene = empty_scene()
+    change_working_space()
+    places = [
+        Place(position_m=(0.0, 0.0, 0.1), coverage=0.9, expected_error=error, irradiance=None) for error in (0.1, 0.5)
+    ]
+    shown = show_placement_map(scene, places, spacing_m=0.5, clearance_m=0.1, folder=tmp_path)
+    wanted = np.array([place.colour(error_range(places)) for place in places]) / 255
+    np.testing.assert_allclose(linear_to_srgb(Squares(shown).colours[::4, :3]), wanted, atol=0.01)
 
 
 @pytest.mark.slow

@@ -164,17 +164,20 @@ class XIHE_PT_placement(StagePanel, bpy.types.Panel):
 
 
 class Squares:
-    """The squares of one map as they are drawn: corners (4 K, 3) in Blender units, colours (4 K, 4)."""
+    """The squares of one map as they are drawn: corners (4 K, 3) in Blender units, colours (4 K, 4) in Rec.709."""
 
     def __init__(self, item: bpy.types.Object) -> None:
         import numpy as np
 
+        from xihenet.colour import srgb_to_linear
+
         mesh = item.data
         corners, colours = np.empty(3 * len(mesh.vertices), "f"), np.empty(4 * len(mesh.loops), "f")
         mesh.vertices.foreach_get("co", corners)
-        mesh.color_attributes[COLOURS].data.foreach_get("color", colours)
+        # As light they would be in the file's working space.
+        mesh.color_attributes[COLOURS].data.foreach_get("color_srgb", colours)
         self.corners: ArrayF32 = corners.reshape(-1, 3)
-        self.colours: ArrayF32 = colours.reshape(-1, 4)
+        self.colours: ArrayF32 = srgb_to_linear(colours.reshape(-1, 4))
         self.colours[:, 3] = OPACITY
         self.batch: Any = None
 

@@ -52,6 +52,12 @@ def _set_to_first_known(owner: Any, attribute: str, names: Sequence[str]) -> Non
             return
 
 
+def is_rec709() -> bool:
+    """Whether Blender calculates in linear Rec.709."""
+    one = np.eye(3)
+    return in_rec709(one) is one
+
+
 def in_rec709(rgb: _Light) -> _Light:
     """Light (..., 3) as Blender calculates it, in linear Rec.709; `rgb` itself where that is the same."""
     return _converted(rgb, Color.from_scene_linear_to_rec709_linear)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import addon_utils
 import bpy
 import numpy as np
 
 from xihe_blender.errors import UserError
+from xihe_blender.scene.colour_management import in_rec709, is_rec709
 from xihe_blender.scene.estimation_positions import world_box_corners
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
@@ -120,4 +123,39 @@ def _exported(scene: bpy.types.Scene, item: bpy.types.Object) -> bytes:
             filepath=str(path), export_format="GLB", use_selection=True, export_yup=True, export_apply=True,
             export_animations=False, export_cameras=False, export_lights=False,
         )  # fmt: skip
-        return path.read_bytes()
+        glb = path.read_bytes()
+    return glb if is_rec709() else _in_rec709(glb)
+
+
+COLOUR_FACTORS = ("baseColorFactor", "emissiveFactor", "specularColorFactor", "sheenColorFactor", "attenuationColor")
+COMPONENTS: dict[int, Any] = {5121: np.uint8, 5123: np.uint16, 5126: np.float32}
+
+
+def _in_rec709(glb: bytes) -> bytes:
+    """A GLB of Blender's exporter, which leaves colours of materials and vertices in the file's working space."""
+    length = int.from_bytes(glb[12:16], "little")
+    document, binary = json.loads(glb[20 : 20 + length]), bytearray(glb[28 + length :])
+    for material in document.get("materials", ()):
+        for part in (material, material.get("pbrMetallicRoughness", {}), *material.get("extensions", {}).values()):
+            for factor in COLOUR_FACTORS:
+                if factor in part:
+                    part[factor][:3] = _clipped(np.array(part[factor][:3])).tolist()
+    attributes = [part["attributes"] for mesh in document.get("meshes", ()) for part in mesh["primitives"]]
+    for index in {index for one in attributes for name, index in one.items() if name.startswith("COLOR_")}:
+        accessor = document["accessors"][index]
+        start = document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        kind, width = COMPONENTS[accessor["componentType"]], int(accessor["type"][-1])
+        stored = np.frombuffer(binary, kind, accessor["count"] * width, start).reshape(-1, width)
+        most = 1.0 if kind is np.float32 else float(np.iinfo(kind).max)
+        colours = _clipped(stored[:, :3] / np.float64(most)) * most
+        stored[:, :3] = colours if kind is np.float32 else np.rint(colours)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    size, text_size = (number.to_bytes(4, "little") for number in (28 + len(text) + len(binary), len(text)))
+    return glb[:8] + size + text_size + glb[16:20] + text + glb[20 + length : 28 + length] + binary
+
+
+def _clipped(rgb: ArrayF64) -> ArrayF64:
+    """Colours (..., 3) of the working space, in Rec.709 as far as that holds them."""
+    clipped: ArrayF64 = np.clip(in_rec709(rgb), 0, 1)
+    return clipped
