@@ -1,5 +1,8 @@
 """What may be wrong with a recording, by format: how it is done to one that is sound, and what is said of it.
 
+Of readers that formats share, each format shows that it asks them. What they refuse is shown once: of JSON in
+`test_json_records.py`, of numbers, sizes and matrices in `test_frame_files.py`, of quaternions and places by Record3D.
+
 A case is a function that changes the recording and a text: of the one line on stderr, or, after "note: ", of what is
 said of one that is read all the same; "read" where nothing is said.
 """
@@ -30,9 +33,7 @@ from xihenet.records import Intrinsics
 
 READ, NOTE = "read", "note: "
 GARBAGE = bytes(range(256)) * 4
-DEEP = "[" * 100_000
-HUGE = "1e400"
-MIRRORED, STRETCHED = np.diag([-1.0, 1, 1, 1]), np.diag([2.0, 2, 2, 1])
+MIRRORED = np.diag([-1.0, 1, 1, 1])
 
 
 def put(name, content):
@@ -57,15 +58,6 @@ def cut(name, n=None):
     def harm(path):
         whole = (path / name).read_bytes()
         (path / name).write_bytes(whole[: len(whole) // 2 if n is None else n])
-
-    return harm
-
-
-def replaced(name, old, new):
-    def harm(path):
-        text = (path / name).read_text()
-        assert old in text
-        (path / name).write_text(text.replace(old, new, 1))
 
     return harm
 
@@ -224,16 +216,13 @@ def packed(content, says=None):
 DEPTH, CONF = "rgbd/1.depth", "rgbd/1.conf"
 IDENTITY = [0.0, 0, 0, 1, 0, 0, 0]
 RECORD3D = {
-    "empty": (whole(lambda _: b""), "no whole zip file"),
     "garbage": (whole(lambda _: GARBAGE), "no whole zip file"),
-    "text": (whole(lambda _: b"a recording"), "no whole zip file"),
     "cut short": (whole(lambda content: content[: len(content) // 2]), "no whole zip file"),
     "a broken member": (whole(lambda c: c.replace(b"bvx2", b"XXXX", 1)), "cannot be read"),
     "another zip": (member("metadata", None), "unpack another app's zip"),
     "metadata begins with a byte order mark": (member("metadata", lambda said: b"\xef\xbb\xbf" + said), READ),
     "metadata is no JSON": (member("metadata", GARBAGE), "expected JSON"),
     "metadata is a list": (member("metadata", b"[]"), "expected a JSON object"),
-    "metadata is deep": (member("metadata", DEEP.encode()), "expected JSON"),
     "metadata is a bomb": (member("metadata", bytes(2**26 + 1)), "expected at most"),
     "depth is a bomb": (member(DEPTH, bytes(2**22)), "expected at most"),
     "LZFSE is a bomb": (member(DEPTH, packed(bytes(2**23))), "unpacks to"),
@@ -258,8 +247,6 @@ RECORD3D = {
     "poses are an object": (metadata(poses={}), "poses: expected a list"),
     "a start of zeros": (metadata(initPose=[0] * 7), "a quaternion of length 1"),
     "a negative width": (metadata(w=-256), "w: expected a whole number of pixels"),
-    "half a pixel": (metadata(w=255.5), "w: expected a whole number of pixels"),
-    "a height that is text": (metadata(h="192"), "h: expected a number"),
     "a depth that is huge": (metadata(dw=1e6, dh=1e6), "more than are read"),
     "no intrinsics": (metadata(K=None, perFrameIntrinsicCoeffs=None), "K: expected 9 numbers"),
     "a focal length below 0": (in_metadata("perFrameIntrinsicCoeffs", 1, [-1, 1, 1, 1]), "focal lengths must be"),
@@ -356,7 +343,6 @@ STRAY = {
         for case, how in wired("depth/000001.png", "depth/000001.png", "confidence/000001.png").items()
         if not case.startswith("colour")
     },
-    "the video is empty": (put(VIDEO, b""), "expected a video"),
     "the video is garbage": (put(VIDEO, GARBAGE), "expected a video"),
     "the video is a list of others": (put(VIDEO, "#EXTM3U\n#EXTINF:1,\nfile:///etc/passwd\n"), "expected a video"),
     "the video is cut short": (cut(VIDEO), "expected a video"),
@@ -369,8 +355,6 @@ STRAY = {
     "odometry is garbage": (put(ODOMETRY, GARBAGE), "expected lines of numbers"),
     "a word": (odometry(f"0, 0, {POSED}", f"soon, 1, {POSED}"), "line 3: expected 9 numbers"),
     "NaN": (odometry("0, 0, nan, 0, 0, 0, 0, 0, 1"), "expected finite numbers"),
-    "a huge number": (odometry(f"0, 0, {HUGE}, 0, 0, 0, 0, 0, 1"), "expected finite numbers"),
-    "a huge place": (odometry("0, 0, 1e300, 0, 0, 0, 0, 0, 1"), "within 1e+06 m"),
     "a quaternion of zeros": (odometry("0, 0, 0, 0, 0, 0, 0, 0, 0"), "a quaternion of length 1"),
     "a short line": (odometry("0, 0, 0, 0"), "line 2: expected timestamp"),
     "a frame below 0": (odometry(f"0, -1, {POSED}"), "a number of a frame"),
@@ -412,34 +396,21 @@ POLYCAM = {
     **of_pictures(
         f"keyframes/corrected_images/{STEM}.jpg", f"keyframes/depth/{STEM}.png", f"keyframes/confidence/{STEM}.png"
     ),
-    "a camera is empty": (put(CAMERA, ""), "expected JSON"),
     "a camera is garbage": (put(CAMERA, GARBAGE), "expected JSON"),
-    "a camera is cut short": (cut(CAMERA), "expected JSON"),
-    "a camera is deep": (put(CAMERA, DEEP), "expected JSON"),
     "a camera is a list": (put(CAMERA, "[]"), "expected a JSON object"),
     "a camera is a folder": (folder_in_place_of(CAMERA), NOTE + "1 frame without colour or depth"),
     "a camera is missing": (remove(CAMERA), READ),
-    "no focal length": (polycam(fx=None), "fx is missing"),
     "a focal length of 0": (polycam(fx=0), "focal lengths must be positive"),
     "a focal length that is text": (polycam(fx="40"), "fx: expected a number"),
     "a width below 0": (polycam(width=-1), "width: expected a whole number"),
     "half a pixel": (polycam(height=0.5), "height: expected a whole number"),
-    "a huge width": (polycam(width=1e300), "width: expected a whole number"),
     "a pose that is NaN": (polycam(t_00=float("nan")), "t_00: expected a number"),
-    "a pose that is text": (polycam(t_13="up"), "t_13: expected a number"),
-    "a place of 26 digits": (polycam(t_03=10**25), "within 1e+06 m"),
-    "a pose that is missing": (polycam(t_23=None), "t_23 is missing"),
     "a huge place": (polycam(t_03=1e300), "within 1e+06 m"),
-    "a huge number": (replaced(CAMERA, '"t_03":', f'"t_03": {HUGE}, "t_99":'), "t_03: expected a number"),
     "a pose that mirrors": (
         polycam(
             **{f"t_{row}{column}": float(row == column) * (-1) ** (row == 0) for row in range(3) for column in range(3)}
         ),
         "it mirrors",
-    ),
-    "a pose that scales": (
-        polycam(**{f"t_{row}{column}": 2.0 * (row == column) for row in range(3) for column in range(3)}),
-        "without scale or shear",
     ),
     "no depth": (gone("keyframes/depth"), "no camera has colour and depth"),
     "no pictures": (gone("keyframes/corrected_images"), "no camera has colour and depth"),
@@ -461,25 +432,18 @@ PLAIN = {
     **wired("colour/2.png", "depth/2.png", "confidence/2.png", "without depth or a pose left out"),
     "colour is a folder": (folder_in_place_of("colour/2.png"), "expected a line for each of 2 pictures, got 3"),
     "the camera is a list": (put(CAMERA_FILE, "[]"), "expected a JSON object"),
-    "the camera is empty": (put(CAMERA_FILE, ""), "expected JSON"),
     "the camera is garbage": (put(CAMERA_FILE, GARBAGE), "expected JSON"),
-    "the camera is deep": (put(CAMERA_FILE, DEEP), "expected JSON"),
     "a misspelt key": (plain(convnetion="opencv"), "did you mean 'convention'"),
     "a pose in the camera": (plain(world_from_camera=np.eye(4).tolist()), "there is no such key"),
     "a width below 0": (plain(width=-64), "width: expected a whole number of pixels"),
-    "a huge width": (plain(width=1e300), "a whole number of pixels"),
-    "a focal length that is text": (plain(fx="40"), "fx: expected a number"),
     "a principal point in the corner": (plain(cx=0, cy=0), NOTE + "at 0, 0 of 64x48 pixels: check cx and cy."),
     "a principal point far away": (plain(cx=1e9), NOTE + "at 1e+09, 24 of 64x48 pixels: check cx and cy."),
     "a principal point that is shifted": (plain(cx=1, cy=47), READ),
-    "axes of no tool": (plain(convention="maya"), "convention: expected"),
-    "an up that is none": (plain(up="w"), "up: expected"),
     "units of 0": (plain(metres_per_unit=0), "expected positive numbers"),
     "units that are infinite": (plain(metres_per_unit=float("inf")), "metres_per_unit: expected a number"),
     "units that are large": (plain(metres_per_unit=10), READ),
     "no frames a second": (plain(frames_per_second=0), "expected positive numbers"),
     "no poses": (gone(POSES), "no picture of colour/ has depth and a pose"),
-    "poses are empty": (put(POSES, ""), "expected a line for each of 3 pictures, got 0"),
     "poses are garbage": (put(POSES, b"\xff\xfe" + GARBAGE), "expected numbers as text"),
     "poses of another number": (put(POSES, "0 0 0 0 0 0 0 1\n"), "expected a line for each of 3"),
     "poses of nine numbers": (put(POSES, "1 2 3 4 5 6 7 8 9\n" * 3), "expected 16 numbers"),
@@ -495,9 +459,7 @@ PLAIN = {
     ),
     "a time that is NaN": (put(POSES, "nan 0 0 0 0 0 0 1\n" * 3), "expected finite numbers"),
     "a quaternion of zeros": (put(POSES, "0 0 0 0 0 0 0 0\n" * 3), "a quaternion of length 1"),
-    "a huge place": (put(POSES, "0 1e300 0 0 0 0 0 1\n" * 3), "within 1e+06 m"),
     "a pose that mirrors": (put(POSES, "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), "it mirrors"),
-    "a pose on its side": (put(POSES, "1 0 0 0 0 1 0 0 0 0 1 0 1 2 3 1\n" * 3), "transpose it?"),
     "times that go back": (put(POSES, "5 0 0 0 0 0 0 1\n4 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n"), NOTE + "Times go back"),
     "nanoseconds": (put(POSES, "5e8 0 0 0 0 0 0 1\n1e9 0 0 0 0 0 0 1\n2e9 0 0 0 0 0 0 1\n"), NOTE + "every 7.5e"),
     "no times": (put(POSES, "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), NOTE + "Times are not known"),
@@ -522,29 +484,20 @@ def in_frames(n, **entries):
 
 NERFSTUDIO = {
     **of_pictures("images/2.png", "depth/2.png"),
-    "empty": (put(TRANSFORMS, ""), "expected JSON"),
     "garbage": (put(TRANSFORMS, GARBAGE), "expected JSON"),
-    "deep": (put(TRANSFORMS, DEEP), "expected JSON"),
     "a list": (put(TRANSFORMS, "[]"), "expected frames"),
-    "a huge size": (said(TRANSFORMS, w=1e300), "w: expected a whole number"),
     "a fish-eye": (said(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
     "a panorama": (said(TRANSFORMS, camera_model="EQUIRECTANGULAR"), "undistort the pictures"),
     "a camera of OpenCV": (said(TRANSFORMS, camera_model="OPENCV"), NOTE + "Times are not known"),
-    "a focal length that is NaN": (said(TRANSFORMS, fl_x=float("nan")), "fl_x: expected a number"),
     "a focal length that is text": (said(TRANSFORMS, fl_x="40"), "fl_x: expected a number"),
     "a focal length below 0": (said(TRANSFORMS, fl_x=-40.0), "frame 1"),
-    "no size": (said(TRANSFORMS, w=None), "w is missing"),
     "half a pixel": (said(TRANSFORMS, w=0.5), "w: expected a whole number of pixels"),
-    "cut short": (cut(TRANSFORMS, 100), "expected JSON"),
     "missing": (remove(TRANSFORMS), "no recording that is known"),
     "no frames": (said(TRANSFORMS, frames=[]), "expected frames, a list with at least one"),
     "frames are no list": (said(TRANSFORMS, frames={}), "expected frames"),
     "a frame is a number": (said(TRANSFORMS, frames=[1]), "expected frames"),
     "no pose": (in_frames(1, transform_matrix=None), "frame 1"),
-    "a pose of three rows": (in_frames(1, transform_matrix=np.eye(4)[:3].tolist()), "frame 1"),
-    "a pose that is not a number": (in_frames(1, transform_matrix=[["x"] * 4] * 4), "frame 1"),
     "a pose that mirrors": (in_frames(1, transform_matrix=MIRRORED.tolist()), "frame 1"),
-    "a pose that scales": (in_frames(1, transform_matrix=STRETCHED.tolist()), "frame 1"),
     "no colour": (in_frames(1, file_path=None), "file_path is missing"),
     "a picture elsewhere": (in_frames(1, file_path="../../etc/passwd"), "lies outside"),
     "no colour at all": (in_frames(3, file_path="images/elsewhere.png"), "no frame has both"),
@@ -555,8 +508,7 @@ TUM = {
     **wired("rgb/0.033333.png", "depth/0.033333.png", missing="without colour, depth or a pose left out"),
     "no poses near": (put(TRUTH, "99 0 0 0 0 0 0 1\n"), "no colour picture has depth and a pose"),
     "poses are garbage": (put(TRUTH, GARBAGE), "expected lines of a time"),
-    "a huge place": (put(TRUTH, "0 1e300 0 0 0 0 0 1\n"), "within 1e+06 m"),
-    "a huge number": (put(TRUTH, f"0 {HUGE} 0 0 0 0 0 1\n"), "expected finite numbers"),
+    "a huge number": (put(TRUTH, "0 1e400 0 0 0 0 0 1\n"), "expected finite numbers"),
     "a quaternion of zeros": (put(TRUTH, "0 0 0 0 0 0 0 0\n"), "a quaternion of length 1"),
     "a pose that is NaN": (
         put(TRUTH, f"0 0 0 0 0 0 0 1\n0.0333 {'nan ' * 7}\n0.0667 0 0 0 0 0 0 1\n"),
@@ -575,11 +527,8 @@ SEVEN_SCENES = {
     **wired("frame-000002.color.png", "frame-000002.depth.png"),
     "a pose is empty": (put(POSE, ""), "expected four rows"),
     "a pose is garbage": (put(POSE, b"\xff\xfe" + GARBAGE), POSE),
-    "a pose of one row": (put(POSE, "1 0 0 0\n"), POSE),
     "a pose that is text": (put(POSE, "x " * 16), POSE),
-    "a pose without a last row": (put(POSE, "1 2 3 4\n" * 4), POSE),
     "a pose is NaN": (put(POSE, "nan nan nan nan\n" * 4), "expected finite numbers"),
-    "a pose is huge": (put(POSE, "1 0 0 1e400\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"), "expected finite numbers"),
     "a pose mirrors": (put(POSE, "-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"), "it mirrors"),
     "a pose is missing": (remove(POSE), READ),
     "JPEGs, as 3RScan has them": (
@@ -635,13 +584,11 @@ XIHE = {
     "a file that is not there": (said(SESSION, files=["frame_000009.exr"]), "frame_000009.exr"),
     "no frames": (no_frames, "record again"),
     "a frame between is gone": (remove(FRAME), NOTE + "1 frame missing between the others"),
-    "an empty frame": (cut(FRAME, 0), FRAME),
     "half a header": (cut(FRAME, 60), FRAME),
     "a frame cut short": (cut(FRAME, 900), FRAME),
     "a folder for a frame": (folder_in_place_of(FRAME), FRAME),
     "a NaN pose": (in_header(worldFromCamera=np.full((4, 4), np.nan)), "worldFromCamera: expected finite numbers"),
     "a left-handed pose": (in_header(worldFromCamera=MIRRORED), "it mirrors"),
-    "a pose that scales": (in_header(worldFromCamera=STRETCHED), "without scale or shear"),
     "no pose": (in_header(worldFromCamera=None), "worldFromCamera"),
     "a pose of words": (in_header(worldFromCamera="here"), "worldFromCamera"),
     "no focal length": (in_header(fx=None), "fx"),
