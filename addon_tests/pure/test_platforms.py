@@ -106,11 +106,9 @@ def stored(light, convention):
 
 
 @pytest.mark.parametrize(("platform", "reading", "formula", "turned"), EVALUATIONS)
-@pytest.mark.parametrize("index", [*range(9), None])
-def test_the_engines_formula_gives_the_irradiance(platform, reading, formula, turned, index):
+def test_the_engines_formula_gives_the_irradiance(platform, reading, formula, turned):
     rng = np.random.default_rng(7)
-    light = rng.normal(size=(9, 3)) if index is None else np.eye(9)[index][:, None] * (1.0, 0.5, -2.0)
-    n, convention = normals(rng), convention_of(platform, reading)
+    light, n, convention = rng.normal(size=(9, 3)), normals(rng), convention_of(platform, reading)
     found = formula(stored(light, convention), turned(n))
     np.testing.assert_allclose(found, irradiance(light, n) / np.pi, atol=2e-5)
 
