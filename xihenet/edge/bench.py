@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from xihenet.buffers import merge
+from xihenet.camera import pixel_rays
 from xihenet.codec import decode_cloud, encode_cloud
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.edge.batching import Inference, Job
@@ -147,17 +148,16 @@ def random_cloud(rng: np.random.Generator, n: int) -> UnitSphereCloud:
 
 def seen_frame(number: int) -> RgbdFrame:
     """What the phone sees on its way around: walls by their side, dimmed from frame to frame."""
-    turn, k = 2 * np.pi * number / 30, PICTURE
+    turn = 2 * np.pi * number / 30
     ahead = np.array([np.cos(turn), np.sin(turn), 0.0])
     pose = np.eye(4)
     pose[:3, :3] = np.stack([np.cross(ahead, [0, 0, 1.0]), [0, 0, 1.0], -ahead], axis=1)
-    x, y = np.meshgrid((np.arange(k.width) + 0.5 - k.cx) / k.fx, (np.arange(k.height) + 0.5 - k.cy) / k.fy)
-    rays = np.stack([x, -y, -np.ones_like(x)], axis=-1) @ pose[:3, :3].T
+    rays = pixel_rays(PICTURE) @ pose[:3, :3].T
     with np.errstate(divide="ignore"):  # A ray along a wall never meets it: the infinite reach loses to another wall.
         reach_m = HALF_ROOM_M / np.abs(rays)
     side = reach_m.argmin(axis=-1)
     colours = np.array([[190, 150, 120], [120, 160, 190], [210, 210, 200]]) * (0.8 + 0.2 * np.sin(number))
-    return RgbdFrame(colours[side].astype(np.uint8), reach_m.min(axis=-1).astype(np.float32), k, pose, frame=number)
+    return RgbdFrame(colours[side].astype(np.uint8), reach_m.min(axis=-1), PICTURE, pose, frame=number)
 
 
 def times_ms(call: Callable[[], object], repeats: int) -> list[float]:
