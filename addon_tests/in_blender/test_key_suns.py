@@ -265,17 +265,8 @@ def test_show_lit_has_the_suns_and_remove_light_takes_them_away(ran):
         assert catcher.is_shadow_catcher and layers == [applied_worlds(scene)[name].name]
     assert bpy.ops.xihe.remove_light() == {"FINISHED"}
     assert not [item for item in bpy.data.objects if KEY_LIGHT in item or SHADOW_CATCHER in item]
-    blocks = (
-        bpy.data.objects,
-        bpy.data.meshes,
-        bpy.data.materials,
-        bpy.data.lights,
-        bpy.data.worlds,
-        bpy.data.collections,
-        bpy.data.actions,
-        bpy.data.images,
-    )
-    left = [block.name for kind in blocks for block in kind if block.name.startswith("Xihe")]
+    kinds = "objects", "meshes", "materials", "lights", "worlds", "collections", "actions", "images"
+    left = [block.name for kind in kinds for block in getattr(bpy.data, kind) if block.name.startswith("Xihe")]
     assert left == ["Xihe Virtual"]
 
 

@@ -37,6 +37,17 @@ from xihe_blender.lab.batch.results import (
 from xihenet import __version__
 
 SETTINGS = BatchSettings(estimators=("lattice", "ambient"), phones=("perfect", "ipad_pro_lidar"), frames=(1, 2))
+NOTHING_DONE = UnitResult(
+    trials=(),
+    step_ms=(),
+    render_s=0.5,
+    cost=UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1),
+)
+
+
+def figures(one):
+    """Of a trial, what its unit's file holds."""
+    return TrialFigures(**{part.name: getattr(one, part.name) for part in fields(TrialFigures)})
 
 
 def test_every_phone_meets_every_estimator_once():
@@ -131,9 +142,7 @@ def test_only_units_that_are_done_and_not_damaged_are_in_the_results(tmp_path, c
     (tmp_path / "a.blend").write_bytes(b"one")
     units, _ = planned_units([tmp_path / "a.blend"], (0, 1))
     folder = BatchFolder(tmp_path / "out")
-    figures = TrialFigures(**{part.name: getattr(trial(), part.name) for part in fields(TrialFigures)})
-    cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
-    done = UnitResult(trials=(figures,), step_ms=(None,), render_s=0.5, cost=cost)
+    done = replace(NOTHING_DONE, trials=(figures(trial()),), step_ms=(None,))
     write_json(result_file(folder.of_unit(units[1])), as_json(done))
     assert folder.result(units[0]) is None and folder.result(units[1]) == done
     found = batch_results(folder, SETTINGS, units, {"b.blend": "gone"})
@@ -151,8 +160,7 @@ def test_a_unit_is_not_done_any_more_where_a_file_that_its_scene_reads_has_chang
     (tmp_path / "fog.vdb").write_bytes(b"one")
     patterns = (str(tmp_path / "*.vdb"),)
     read = FilesRead(patterns=patterns, sha256=contents_sha256(patterns))
-    cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
-    done = UnitResult(trials=(), step_ms=(), render_s=0, cost=cost, read=read)
+    done = replace(NOTHING_DONE, read=read)
     write_json(result_file(tmp_path), as_json(done))
     scene = tmp_path / "room.blend"
     assert read_result(tmp_path, scene) == done
@@ -201,9 +209,8 @@ def test_scenes_of_one_name_are_told_apart_by_their_folders(tmp_path):
         file.write_text(str(file))
     units, _ = planned_units(files, (0, 1))
     folder = BatchFolder(tmp_path / "out")
-    cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
     for unit in units:
-        write_json(result_file(folder.of_unit(unit)), as_json(UnitResult(trials=(), step_ms=(), render_s=0, cost=cost)))
+        write_json(result_file(folder.of_unit(unit)), as_json(NOTHING_DONE))
     found = batch_results(folder, SETTINGS, units, {})
     names = ["a/day/room", "b/day/room", "night/room", "hall"]
     assert [(unit.scene, unit.seed) for unit in found.units] == [(name, seed) for name in names for seed in (0, 1)]
@@ -213,12 +220,8 @@ def test_phones_of_the_users_own_go_by_their_files(tmp_path):
     (tmp_path / "hall.blend").write_text("hall")
     units, _ = planned_units([tmp_path / "hall.blend"], (0,))
     phones = ("perfect", "/study/cheap.toml", "/study/perfect.toml")
-    folder, made = BatchFolder(tmp_path / "out"), results([trial(phone=phone) for phone in phones])
-    of_unit = UnitResult(
-        trials=tuple(TrialFigures(**{f.name: getattr(t, f.name) for f in fields(TrialFigures)}) for t in made.trials),
-        step_ms=(), render_s=0, cost=UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1),
-    )  # fmt: skip
-    write_json(result_file(folder.of_unit(units[0])), as_json(of_unit))
+    folder, trials = BatchFolder(tmp_path / "out"), [figures(trial(phone=phone)) for phone in phones]
+    write_json(result_file(folder.of_unit(units[0])), as_json(replace(NOTHING_DONE, trials=tuple(trials))))
     found = batch_results(folder, replace(SETTINGS, phones=phones), units, {})
     assert [one.phone for one in found.trials] == ["perfect", "cheap", "study/perfect"]
 

@@ -149,19 +149,8 @@ def test_results_of_another_version_a_lost_picture_and_a_lesser_light_are_one_li
 
 
 def test_files_have_the_letters_of_all_alphabets_and_each_object_has_its_own():
-    names = [
-        "桌灯",
-        "球",
-        "Lampe ä",
-        "Lampe ö",
-        "Ko\u0308rbis größe",
-        "दीया",
-        "Vase 1",
-        "Vase-1",
-        "vase 1",
-        "/..:",
-        "\udc80",
-    ]
+    lamps = ["桌灯", "球", "Lampe ä", "Lampe ö", "Ko\u0308rbis größe", "दीया"]
+    names = [*lamps, "Vase 1", "Vase-1", "vase 1", "/..:", "\udc80"]
     found = file_names(names)
     assert list(found.values()) == [
         "桌灯", "球", "Lampe_ä", "Lampe_ö", "Körbis_größe", "दीया",
