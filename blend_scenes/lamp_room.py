@@ -36,13 +36,8 @@ def build_lamp_room(name: str) -> tuple[bpy.types.Scene, bpy.types.Object]:
     _add_rest(room, rng)
     set_sky(scene, [(0.0, (0.3, 0.35, 0.5)), (1.0, (0.5, 0.6, 1.0))], strength=0.15)
     foot = surfaces.plain("Lamp glaze", (0.12, 0.28, 0.3), roughness=0.2)
-    lamp = add_table_lamp(
-        Place(room, "Desk lamp", 0.95, 1.08, DESK_HEIGHT_M),
-        foot,
-        kelvin=3000,
-        watts=LAMP_WATTS,
-        radiance=SHADE_RADIANCE,
-    )
+    place = Place(room, "Desk lamp", 0.95, 1.08, DESK_HEIGHT_M)
+    lamp = add_table_lamp(place, foot, kelvin=3000, watts=LAMP_WATTS, radiance=SHADE_RADIANCE)
     cream = surfaces.plain("Virtual porcelain", (0.72, 0.7, 0.66), roughness=0.35, coat_weight=0.3, coat_roughness=0.1)
     add_virtual(scene, "Porcelain ball", ball(0.11, (0, 0, 0.11), 64), cream, (0.42, 0.86, DESK_HEIGHT_M))
     hold_phone(scene, (-0.35, -0.75, 1.4), (0.35, 0.95, 0.95), seed=5)

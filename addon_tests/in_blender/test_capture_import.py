@@ -434,17 +434,10 @@ def test_a_run_has_the_light_of_replay_to_the_last_bit(recorded_run):
     found = read_results(out)
     positions = {probe.name: np.array(probe.position_m) for probe in found.probes}
     capture = open_capture(recording)
-    steps = list(
-        replay(
-            capture,
-            positions,
-            estimators.load(found.settings.estimator, target=found.settings.target),
-            trigger=capture.trigger or REPLAY_TRIGGER,
-            has_key_light=True,
-            reference_exposure=capture.reference_exposure,
-            never_in_view=never_in_view(capture, positions),
-        )
-    )
+    estimator = estimators.load(found.settings.estimator, target=found.settings.target)
+    own = {"trigger": capture.trigger or REPLAY_TRIGGER, "reference_exposure": capture.reference_exposure}
+    unseen = never_in_view(capture, positions)
+    steps = replay(capture, positions, estimator, has_key_light=True, never_in_view=unseen, **own)
     by_time = {step.time_s: step.lights for step in steps}
     n = 0
     for entry in found.frames:

@@ -43,16 +43,9 @@ def fired_by_position(results):
 
 def replayed(folder, positions_m):
     capture, found = open_capture(folder), {}
-    lattice = estimators.load("lattice", target="hdr")
-    steps = replay(
-        capture,
-        positions_m,
-        lattice,
-        trigger=capture.trigger,
-        reference_exposure=capture.reference_exposure,
-        never_in_view=never_in_view(capture, positions_m),
-    )
-    for step in steps:
+    own = {"trigger": capture.trigger, "reference_exposure": capture.reference_exposure}
+    lattice, unseen = estimators.load("lattice", target="hdr"), never_in_view(capture, positions_m)
+    for step in replay(capture, positions_m, lattice, never_in_view=unseen, **own):
         for name, report in step.reports.items():
             if report.estimate is not None and report.estimate.is_valid:
                 found.setdefault(name, []).append((step.frame, report.estimate.sh_radiance.tolist()))

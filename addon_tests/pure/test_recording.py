@@ -20,18 +20,9 @@ def random_frame(seed, ambient=None):
     intrinsics = Intrinsics(8, 6, *rng.uniform(1, 9, 4))
     said = {} if ambient is None else {"white_balance": rng.uniform(0.5, 2, 3)}
     said |= {} if ambient is None else {"confidence": rng.integers(0, 3, (6, 8), dtype=np.uint8)}
-    return RgbdFrame(
-        colours,
-        depths,
-        intrinsics,
-        np.vstack([np.column_stack([random_rotation(seed), rng.normal(size=3)]), [0, 0, 0, 1]]),
-        0.3,
-        ambient,
-        1.5,
-        seed,
-        {"range": 3, "no_surface": 1},
-        **said,
-    )
+    pose = np.vstack([np.column_stack([random_rotation(seed), rng.normal(size=3)]), [0, 0, 0, 1]])
+    invalid = {"range": 3, "no_surface": 1}
+    return RgbdFrame(colours, depths, intrinsics, pose, 0.3, ambient, 1.5, seed, invalid, **said)
 
 
 def assert_same(a, b):

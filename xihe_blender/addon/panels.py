@@ -388,12 +388,8 @@ def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     moved = moved_positions(context.scene)
     for name, (coverage, error) in moved.items():
         expected = "" if error is None else f", expected error {error:.3f}"
-        sentence(
-            context,
-            layout,
-            f"{name} was moved or added since: coverage {coverage:.0%}{expected}",
-            icon="CON_FOLLOWTRACK",
-        )
+        words = f"{name} was moved or added since: coverage {coverage:.0%}{expected}"
+        sentence(context, layout, words, icon="CON_FOLLOWTRACK")
     if moved:
         sentence(context, layout, "Errors and ground truth below are of the run: for new ones run again", icon="INFO")
 

@@ -25,12 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed N", "the same seed makes the same rooms", int, default=0)
     add("--walk F", "render F frames of a walk through each room instead of five separate views", int)
     add("--views N", "render N separate views of each room instead of five: more of it is seen", int)
-    add(
-        "--varied SHARE",
-        "share of the training rooms that are far more varied than homes and offices",
-        float,
-        default=0.0,
-    )
+    varied = "share of the training rooms that are far more varied than homes and offices"
+    add("--varied SHARE", varied, float, default=0.0)
     by_day = "share of the training rooms whose lamps are off, by day, where they have windows"
     add("--by-day SHARE", by_day, float, default=0.0)
     add("--split NAME", "make only the train, validation or test rooms; default: all")

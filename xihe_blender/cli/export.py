@@ -43,12 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reading NAME",
         f"where sources of an engine disagree, which is followed; the first is the default. {readings}",
     )
-    add(
-        "--units",
-        "picture: 1 is white in the phone's picture; scene: radiance in Blender",
-        choices=tuple(UNITS),
-        default="picture",
-    )
+    units = "picture: 1 is white in the phone's picture; scene: radiance in Blender"
+    add("--units", units, choices=tuple(UNITS), default="picture")
     out = f"folder for the files; default: exports/TARGET in the run's folder, for {VIEWER} the folder itself"
     add("--out DIR", out, Path)
 

@@ -166,21 +166,16 @@ def add_labels(strips: Any, labels: Sequence[str], size: tuple[int, int], n_fram
     for number, label in enumerate(labels):
         row, column = divmod(number, 2)
         above_px = row * (height + BAR_PX) + BAR_PX / 2
-        place = (column / 2 + 10 / (2 * width), 1 - above_px / (2 * (height + BAR_PX)))
-        add_label(strips, label, channel=2 + number, n_frames=n_frames, place=place)
-
-
-def add_label(strips: Any, label: str, *, channel: int, n_frames: int, place: tuple[float, float]) -> None:
-    """Write `label` beginning at `place`, shares of the width and the height from the lower left corner."""
-    given = {"name": label, "type": "TEXT", "channel": channel, "frame_start": 1}
-    try:
-        strip = strips.new_effect(**given, length=n_frames)
-    except TypeError:  # Blender 4
-        strip = strips.new_effect(**given, frame_end=1 + n_frames)
-    strip.text, strip.font_size, strip.location = label, 0.6 * BAR_PX, place
-    anchors = ("anchor_x", "anchor_y") if hasattr(strip, "anchor_x") else ("align_x", "align_y")  # Blender 4.3
-    for anchor, side in zip(anchors, ("LEFT", "CENTER"), strict=True):
-        setattr(strip, anchor, side)
+        given = {"name": label, "type": "TEXT", "channel": 2 + number, "frame_start": 1}
+        try:
+            strip = strips.new_effect(**given, length=n_frames)
+        except TypeError:  # Blender 4
+            strip = strips.new_effect(**given, frame_end=1 + n_frames)
+        strip.text, strip.font_size = label, 0.6 * BAR_PX
+        strip.location = column / 2 + 10 / (2 * width), 1 - above_px / (2 * (height + BAR_PX))
+        anchors = ("anchor_x", "anchor_y") if hasattr(strip, "anchor_x") else ("align_x", "align_y")  # Blender 4.3
+        for anchor, side in zip(anchors, ("LEFT", "CENTER"), strict=True):
+            setattr(strip, anchor, side)
 
 
 def render_pictures(scene: bpy.types.Scene, folder: Path) -> list[Path]:
