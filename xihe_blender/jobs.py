@@ -26,9 +26,7 @@ Step = TypeVar("Step")
 class Progress:
     """`done` of `total` units of work, and what comes next in words.
 
-    Parameters
-    ----------
-    left : units that are left by stage, the one under way first; empty for a job of one stage
+    `left` are the units that are left by stage, the one under way first; empty for a job of one stage.
     """
 
     done: float

@@ -34,15 +34,9 @@ class XiheController(controller.XiheController):
         position_m : (3,) world, metres: where its origin goes
         is_deringed : whether its world is rid of negative light, see `apply_sh_to_world`; the estimate stays
 
-        Returns
-        -------
-        The estimate at the object's estimation position; of a big object that has several, the mean of those that could
-        be known. Its positions are followed by `step` from now on. Where none could be known it says why, and the world
-        is left as it was.
-
-        Raises
-        ------
-        ValueError before the first frame, or for a position that is not three finite numbers
+        Gives the estimate at the object's estimation position; of a big object that has several, the mean of those that
+        could be known. Its positions are followed by `step` from now on. Where none could be known it says why, and the
+        world is left as it was. ValueError before the first frame, or for a position that is not three finite numbers.
         """
         position = checked_position(position_m)
         scene = bpy.context.scene

@@ -44,12 +44,9 @@ def ask_for_surfaces(layer: bpy.types.ViewLayer) -> None:
 
 
 def surfaces_in(passes: Mapping[str, ArrayF32], roughness: Mapping[str, float | None]) -> SurfaceFacts:
-    """Of one picture.
+    """Of one picture: `passes` (H, W) by "<pass>.<channel>", rendered after `ask_for_surfaces`.
 
-    Parameters
-    ----------
-    passes : (H, W) by "<pass>.<channel>", rendered after `ask_for_surfaces`
-    roughness : smoothest roughness by material name, None where it is not known; other materials count as chalk
+    `roughness` is the smoothest by material name, None where it is not known; other materials count as chalk.
     """
     grey = {kind: _grey(passes, names) for kind, names in COLOUR_PASSES.items()}
     # Colour passes of a lamp are black, but lamps are made of something.

@@ -355,12 +355,9 @@ def open_reference_probe(
     settings: ProbeSettings,
     objects: Sequence[bpy.types.Object | None] | None = None,
 ) -> Iterator[ReferenceProbe]:
-    """A reference probe in the room of `scene`, virtual objects left out.
+    """A reference probe in the room of `scene`, virtual objects left out, for positions (K, 3): world, metres.
 
-    Parameters
-    ----------
-    positions_m : (K, 3) world, metres
-    objects : the virtual object that stands at each of them, whose light links the probe takes; None for none
+    It takes the light links of `objects`, the virtual object that stands at each of them; None for none.
     """
     places = np.array(positions_m, np.float64).reshape(-1, 3)
     rendering = RenderSettings(

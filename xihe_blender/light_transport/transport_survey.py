@@ -74,10 +74,7 @@ class TransportSurvey:
 class TransportSurveyor:
     """Gathers a `TransportSurvey`, one evaluated frame after the other.
 
-    Parameters
-    ----------
-    frames : that will be looked at
-    positions : (K, 3) world, metres: where light probes stand. Empty is legal
+    Light probes stand at `positions` (K, 3), world, metres, of which there may be none.
     """
 
     def __init__(self, frames: Sequence[int], positions: Sequence[Sequence[float]]) -> None:

@@ -54,9 +54,7 @@ def previs(
     blend_file : where the scene comes from, for the results; None takes the open file
     command : what the user typed, for the report
 
-    Returns
-    -------
-    the content of results.json
+    Gives the content of results.json.
     """
     recorded = recorded_session(scene, settings)
     if recorded is not None:

@@ -60,9 +60,7 @@ def effects_of_run(
     budget_s : for the costs; see `measure_costs`
     on_planned, on_cost : called once with the effects before any cost is known, and with each cost as it is known
 
-    Raises
-    ------
-    UserError for frames outside the scene's range, a phone without a camera, or choices that make no sense
+    UserError for frames outside the scene's range, a phone without a camera, or choices that make no sense.
     """
     frames = planned_frames(scene, settings.frames)
     choices = overrides_in_force(scene, settings.effect_choices)
@@ -98,9 +96,7 @@ def plan_phone_effects(
     positions : (K, 3) world, metres: where light is estimated
     is_captured : render the path, N_SAMPLES per pixel; else an effect that only captures could rule out is on
 
-    Raises
-    ------
-    UserError for a scene without a camera, frames outside its range, or choices that the phone does not have
+    UserError for a scene without a camera, frames outside its range, or choices that the phone does not have.
     """
     if not settings.profile.effects and settings.link is None:
         return {}

@@ -27,13 +27,10 @@ def write_replay_report(
     lights: Mapping[str, tuple[bytes, bytes]],
     frames: Sequence[tuple[int, bytes]],
 ) -> None:
-    """One self-contained page.
+    """One self-contained page of what replay.json holds.
 
-    Parameters
-    ----------
-    content : of replay.json
-    lights : by position PNG files of the sphere as it was seen, and of its last light
-    frames : numbers of some, and PNG files of what they show
+    `lights` are by position PNG files of the sphere as it was seen, and of its last light; `frames` numbers of some,
+    and PNG files of what they show.
     """
     sections = [
         ("light", "The light", _light(content, lights)),

@@ -31,20 +31,11 @@ MAX_POSITIONS = 1000
 
 
 def estimation_positions(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> ArrayF64:
-    """Positions at which the light of a virtual object is estimated; modifiers and instances count.
+    """(K, 3) world, metres, K >= 1: where the light of a virtual object is estimated.
 
-    Parameters
-    ----------
-    depsgraph : evaluated at the frame in question; the current context's if None
-
-    Returns
-    -------
-    (K, 3) float64, world metres, K >= 1: the centre of the box or the centres of its cells, x slowest and z fastest.
-    An object without geometry has its origin.
-
-    Raises
-    ------
-    UserError : if the object has no finite box, or more than MAX_POSITIONS
+    At the frame of `depsgraph`, by default the context's: the centre of its box or the centres of its cells, x slowest
+    and z fastest; modifiers and instances count. An object without geometry has its origin. UserError if it has no
+    finite box, or more than MAX_POSITIONS.
     """
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
     corners = world_box_corners(object, depsgraph) * metres_per_unit(depsgraph.scene)

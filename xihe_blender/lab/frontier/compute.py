@@ -187,11 +187,9 @@ def padded(sh_radiance: ArrayF64) -> ArrayF64:
 
 
 def square_errors(lights: Sequence[ArrayF64], references: Sequence[ArrayF64]) -> dict[str, tuple[float, ...]]:
-    """By kind of error, the squared relative error at each place.
+    """By kind of error, the squared relative error at each place, of lights (25, 3) or less.
 
-    Parameters
-    ----------
-    lights, references : (25, 3) or less, one each for every place; a dark reference counts as grey light at the key
+    A dark reference counts as grey light at the key.
     """
     pairs = [(padded(light), padded(reference)) for light, reference in zip(lights, references, strict=True)]
     normals = AnchorLattice(N_NORMALS).directions

@@ -54,9 +54,7 @@ def add_scene(
     frames : of the camera path; None for the scene's range and step
     at : names of the objects whose world locations are the positions; None for where a previs run would estimate
 
-    Raises
-    ------
-    UserError if the scene cannot be used so, or the folder holds something else or cannot be written
+    UserError if the scene cannot be used so, or the folder holds something else or cannot be written.
     """
     if metres_per_unit(scene) != 1:
         raise UserError(f"scene {scene.name!r} has a unit scale other than 1: set it to 1, rooms are in metres")
