@@ -15,7 +15,7 @@ from xihe_blender.lab.rooms.build import build_dataset
 from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.store import room_path, save_room
 from xihe_blender.lab.workers import dask_workers
-from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
+from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers, own_program
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
@@ -71,6 +71,21 @@ def test_what_the_user_can_mend_is_not_tried_again(scheduler, scripts):
     )
     assert list(run(scheduler, asked("says", str(scripts / "tries"))).values()) == ["mend it"]
     assert (scripts / "tries").read_text() == "x"
+
+
+def test_work_of_a_whole_blender_is_done_by_another_of_it(scheduler, scripts, monkeypatch):
+    blender = scripts / "blender"
+    blender.write_text(f'#!/bin/sh\necho Blender 4.3.2\nexec {sys.executable} "$4" -- "$6" "$7" "$8"\n')
+    blender.chmod(0o755)
+    (scripts / "tells.py").write_text(
+        "import json, sys; print(1.0); json.dump(json.load(sys.stdin), open(sys.argv[1], 'w'))"
+    )
+    assert own_program("tells") == ()
+    monkeypatch.setattr(bpy.app, "binary_path", str(blender))
+    monkeypatch.syspath_prepend(scripts)
+    assert own_program("tells")[0] == str(blender)
+    assert run(scheduler, Work("tells", "tells", (str(scripts / "told"),), {"seed": 7}, own_program("tells"))) == {}
+    assert (scripts / "told").read_text() == '{"seed": 7}'
 
 
 @pytest.mark.slow

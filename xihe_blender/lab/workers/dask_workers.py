@@ -23,7 +23,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,13 +49,14 @@ TOPIC = "xihe"  # Of the events that tell how far a piece of work is
 class Work:
     """A piece of work: a module of this project that runs in a process with Blender.
 
-    Where it is told something, it tells its share of the work on stdout, a number from 0 to 1 a line.
+    Where it is told something, it tells its share of the work on stdout, lines that are a number from 0 to 1.
     """
 
     name: str  # of its own
     module: str  # run with the `arguments`
     arguments: tuple[str, ...] = ()
     told: Any = None  # on stdin, as JSON holds it; None for nothing
+    program: tuple[str, ...] = ()  # what starts the module; empty for the worker's own Python
 
 
 class BlenderDiedError(Exception):
@@ -74,7 +75,7 @@ class DaskWorkers:
     def check_workers(self, folder: str, scenes: list[str]) -> None:
         """UserError if no worker is there, or one does not have this project, this Blender, the folder or a scene.
 
-        The scheduler needs the project too: it reads what it passes on.
+        The scheduler needs the project too: it reads what it passes on. Our own workers have what this process has.
         """
         address = self.client.scheduler.address
         try:
@@ -83,6 +84,8 @@ class DaskWorkers:
             raise UserError(
                 f"the scheduler at {address} has no worker: start some with `dask worker {address} --nthreads 1`"
             ) from error
+        if self.is_local:
+            return
         try:
             self.client.run_on_scheduler(describe_worker, folder, [])
         except (ImportError, RuntimeError) as error:
@@ -112,6 +115,8 @@ class DaskWorkers:
         futures: dict[str, Future[str | None]] = {}
         for place, one in enumerate(work):
             once = {"key": f"{one.name}-{time.time_ns()}", "pure": False}
+            if self.is_local:
+                one = replace(one, program=own_program(one.module))
             futures[one.name] = self.client.submit(run_module, one, priority=-place, retries=N_RETRIES, **once)
         try:
             yield from self._watched(futures, noun)
@@ -164,7 +169,7 @@ def run_module(work: Work) -> str | None:
 
     BlenderDiedError for what may go better next time.
     """
-    command = [sys.executable, "-m", work.module, *work.arguments]
+    command = [*(work.program or (sys.executable, "-m", work.module)), *work.arguments]
     piped = subprocess.PIPE if work.told is not None else subprocess.DEVNULL
     with process_on_one_core(command, stdin=piped, stdout=piped, text=True) as (process, errors):
         if work.told is not None:
@@ -186,7 +191,18 @@ def _pass_on(process: subprocess.Popen[str], work: Work) -> None:
             stdin.write(json.dumps(work.told))
         worker = get_worker()
         for line in shares:
-            worker.log_event(TOPIC, (work.name, float(line)))
+            with contextlib.suppress(ValueError):  # A whole Blender's own words.
+                worker.log_event(TOPIC, (work.name, float(line)))
+
+
+def own_program(module: str) -> tuple[str, ...]:
+    """What starts `module` on this machine: a whole Blender starts another of itself. Empty without one."""
+    running = sys.modules.get("bpy")
+    if running is None or not running.app.binary_path:
+        return ()
+    from xihe_blender.lab.workers.processes import module_command
+
+    return tuple(module_command(module))
 
 
 def blender_version() -> str | None:
