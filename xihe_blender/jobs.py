@@ -44,7 +44,8 @@ class TimeLeft:
     """The time that is left of a job, from the pace of each of its stages; told of every Progress, in order.
 
     The first step of a stage carries set-up (Cycles builds the scene), so the pace is the median of those that follow.
-    Stages that are still to come are taken to go at the pace of the last one, by their units, with as much set-up.
+    Stages that are still to come are taken to go at the pace of the last one, by their units, with as much set-up. Of
+    jobs that follow each other each counts in units of its own.
     """
 
     def __init__(self) -> None:
@@ -54,15 +55,15 @@ class TimeLeft:
 
     def after(self, progress: Progress, elapsed_s: float) -> float | None:
         """Seconds left; None before there are two steps."""
-        if self.before is not None:
+        if self.before is not None and _is_of_another_job(progress, self.before[0]):
+            self.steps.clear()
+        elif self.before is not None:
             last, then_s = self.before
             stage = next(iter(last.stages))
             units = last.stages[stage] - progress.stages.get(stage, 0.0)
             if units > 0:
                 self.steps.setdefault(stage, []).append((units, elapsed_s - then_s))
         self.before = progress, elapsed_s
-        if progress.left:
-            self.steps.pop("", None)  # What comes before the first stage says nothing about it.
         paces = {stage: _pace(steps) for stage, steps in self.steps.items()}
         if sum(map(len, self.steps.values())) < 2:
             return None  # One step is mostly set-up.
@@ -73,6 +74,12 @@ class TimeLeft:
             for stage, units in progress.stages.items()
             if units > 0
         )
+
+
+def _is_of_another_job(progress: Progress, last: Progress) -> bool:
+    if progress.left or last.left:
+        return bool(progress.left) != bool(last.left)
+    return progress.total != last.total or progress.done < last.done
 
 
 def _pace(steps: Sequence[tuple[float, float]]) -> float:

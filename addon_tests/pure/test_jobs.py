@@ -1,6 +1,7 @@
 """Driving a job: to its end, with progress, and to a clean stop."""
 
 import fcntl
+import io
 import os
 import pty
 import signal
@@ -78,6 +79,25 @@ def test_stages_to_come_go_at_the_pace_of_the_last_one_and_carry_as_much_set_up(
     ]
     # A capture takes 2 s, the first 8 s more; then comparing is measured.
     assert seconds_left(*steps, (at(7, 0, 3), 96), (at(9, 0, 1), 100)) == [None, None, None, 24, 20, 30, 2]
+
+
+def test_jobs_that_follow_each_other_have_paces_of_their_own():
+    captures = [(Progress(done, 0.03, "", {"capture": 0.03 - done}), 100 * done) for done in (0, 0.01, 0.02)]
+    reading = [(Progress(done, 3, "reading"), 4 + done) for done in range(3)]
+    probes = [(Progress(0, 3, "probe", {"probes": 3}), 8), (Progress(0, 59, "place"), 9)]
+    assert seconds_left(*captures, *reading, *probes) == [None, None, pytest.approx(1), None, None, 1, None, None]
+
+
+def test_a_log_says_nothing_twice():
+    stream = io.StringIO()
+    show = progress_line(stream)
+    for done in (0, 0, 1, 1, 2):
+        show(Progress(done, 2, f"place {done}"), done)
+    assert [line.split("  ")[-1].split(",")[0] for line in stream.getvalue().splitlines()] == [
+        "place 0",
+        "place 1",
+        "place 2",
+    ]
 
 
 def test_work_that_was_done_before_makes_no_pace():

@@ -45,13 +45,17 @@ def progress_line(stream: Any) -> Callable[[Progress, float], None]:
 
     time_left = TimeLeft()
 
-    is_rewritten = _can_rewrite(stream)
+    is_rewritten, last = _can_rewrite(stream), ("", "")
 
     def show(progress: Progress, elapsed_s: float) -> None:
+        nonlocal last
         left = time_left.after(progress, elapsed_s)
         remaining = "" if left is None or progress.done >= progress.total else f", {format_duration(left)} left"
         share = f"{progress.done / progress.total:4.0%}  "
         doing = " ".join(progress.doing.split())
+        last, before = (share, doing), last
+        if last == before and not is_rewritten:
+            return
         if is_rewritten:
             # What does not fit would go on in a second line, and stay there.
             doing = _cut_to(_n_columns(stream) - len(share + remaining) - 1, doing)
