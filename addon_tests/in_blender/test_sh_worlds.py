@@ -182,6 +182,21 @@ def test_an_object_behind_a_wall_leaves_no_rim_and_one_before_it_keeps_its_own(w
         np.testing.assert_array_equal(weights, alpha)
 
 
+def test_see_through_objects_before_each_other_do_not_take_more_than_all_of_the_background():
+    scene = empty_scene()
+    virtual = virtual_collection(scene, create=True)
+    see_through = shader_look("See-through", "BsdfPrincipled", Alpha=0.4)
+    balls = [sphere(scene, f"Ball {y}", (0, y, 0), 0.4, see_through, virtual) for y in range(4)]
+    orthographic(scene)
+    with open_comparer(scene, balls, ["one"], RenderSettings((8, 8), 16, denoise=False)) as comparer:
+        rendered = render_passes(comparer.lit).layers
+        layers = [rendered[comparer.layers["one", ball.name]] for ball in balls]
+    camera = Intrinsics(8, 8, 8.0, 8.0, 4.0, 4.0)
+    room = RgbdFrame(np.zeros((8, 8, 3), np.uint8), np.full((8, 8), 100.0), camera, np.eye(4))
+    picture, weights = composite(np.full((8, 8, 3), 5.0), layers, room)
+    assert picture.min() >= 0 and weights[4, 4] > 0.9
+
+
 def test_removing_takes_worlds_node_group_and_markers_and_leaves_the_users():
     scene = empty_scene()
     mine = set_world(scene)

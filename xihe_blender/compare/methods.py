@@ -422,14 +422,15 @@ def composite(
     `in_front_of_room`.
     """
     exposed = captured.exposure * (1.0 if captured.white_balance is None else captured.white_balance)
-    picture, weights = background.copy(), np.zeros(background.shape[:2])
+    shown, weights = np.zeros_like(background), np.zeros(background.shape[:2])
     for passes in layers:
         visible = in_front_of_room(_depth_within_room(passes), captured.plane_depth_m, tolerance)
-        alpha = np.where(visible, passes["Combined.A"], 0.0)
         colour = stacked_rgb(passes).astype(np.float64)
-        picture += np.where(visible[..., None], colour * exposed, 0.0) - alpha[..., None] * background
-        weights += alpha
-    return picture, np.clip(weights, 0.0, 1.0)
+        shown += np.where(visible[..., None], colour * exposed, 0.0)
+        weights += np.where(visible, passes["Combined.A"], 0.0)
+    # Of see-through objects one before another Cycles counts the holdouts in part: together they cover more than all.
+    weights = np.clip(weights, 0.0, 1.0)
+    return shown + (1 - weights[..., None]) * background, weights
 
 
 def _depth_within_room(passes: Mapping[str, ArrayF32]) -> ArrayF32:
