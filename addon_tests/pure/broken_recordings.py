@@ -214,7 +214,6 @@ def packed(content, says=None):
 
 
 DEPTH, CONF = "rgbd/1.depth", "rgbd/1.conf"
-IDENTITY = [0.0, 0, 0, 1, 0, 0, 0]
 RECORD3D = {
     "garbage": (whole(lambda _: GARBAGE), "no whole zip file"),
     "cut short": (whole(lambda content: content[: len(content) // 2]), "no whole zip file"),
