@@ -74,7 +74,7 @@ _OPENED = _object(
 )
 
 
-def openapi_document(sizes: tuple[int, ...], *, has_bearer: bool = False) -> dict[str, Any]:
+def openapi_document(sizes: tuple[int, ...], *, has_bearer: bool) -> dict[str, Any]:
     """Of a service that serves clouds of these `sizes`; with `has_bearer` each route but health needs the token."""
     document: dict[str, Any] = {
         "openapi": "3.1.0",

@@ -320,7 +320,7 @@ def _radius_of(solid_angle: float) -> float:
     return float(np.arccos(np.clip(1 - solid_angle / (2 * np.pi), -1, 1)))
 
 
-def _two_directions(luminance: ArrayF64, held: ArrayF64 | None = None) -> list[ArrayF64]:
+def _two_directions(luminance: ArrayF64, held: ArrayF64 | None) -> list[ArrayF64]:
     """The directions of two point lights that explain bands 1 and 2 best, the stronger first, each found in what the
     other leaves; one where a second adds nothing. `held` (3,) is one of them, wherever the bands point."""
     bands = luminance[1:]

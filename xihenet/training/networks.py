@@ -175,7 +175,7 @@ def write_torch(path: Path, content: Mapping[str, object]) -> None:
         torch.save(content, file)
 
 
-def read_torch(path: Path, device: str = "cpu") -> dict[str, Any]:
+def read_torch(path: Path, device: str) -> dict[str, Any]:
     """Read what `write_torch` wrote, plain values and tensors only; ValueError naming the file if it is broken."""
     try:
         content = torch.load(path, map_location=device, weights_only=True)

@@ -119,7 +119,7 @@ def n_rooms_needed(seed: int) -> int:
     return next(n for n in itertools.count(1) if {"train", "validation"} <= {split_of((seed, i)) for i in range(n)})
 
 
-def pairs_that_count(path: Path, *, is_upright: bool = False) -> ArrayBool:
+def pairs_that_count(path: Path, *, is_upright: bool) -> ArrayBool:
     """(V, P) without reading the pictures."""
     return _pairs_that_count(_read(path, "is_in_view", "positions_m", "world_from_camera", "intrinsics"), is_upright)
 
