@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import random_rotation
 from addon_tests.pure.sh_samples import random_directions, random_light
 from xihenet.buffers import merge
 from xihenet.colour import linear_to_srgb
@@ -105,8 +106,7 @@ def test_a_lamp_alone_is_found_whole(seed, ambient):
 @pytest.mark.parametrize("seed", range(10))
 def test_it_turns_with_the_room(seed):
     estimate = flat(0.5) + 0.1 * random_light(seed=seed) + lamp(random_directions(1, seed)[0], 2.0)
-    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
-    turn *= np.linalg.det(turn)
+    turn = random_rotation(seed)
     before, after = split_light(estimate), split_light(rotate(estimate, turn))
     assert apart(turn @ before.key.direction, after.key.direction) < 0.5
     assert after.rest == pytest.approx(rotate(before.rest, turn), abs=0.02)

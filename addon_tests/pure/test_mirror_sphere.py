@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from addon_tests.pure.made import frame_of, pose_of
 from xihenet import sh
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.estimators import load
 from xihenet.mirror_sphere import mirror_sphere_cloud, reflected_directions
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.records import Intrinsics
 from xihenet.sphere import AnchorLattice
 
 SIDE = 200
@@ -19,18 +20,14 @@ LATTICE = AnchorLattice(320)
 LIGHT = np.concatenate([np.full((1, 3), 1.2), np.random.default_rng(0).normal(size=(8, 3)) * 0.12])
 
 
-def looking_at_the_sphere(distance_m=1.2, picture=None, plane_depth_m=None, yaw=0.7):
+def looking_at_the_sphere(distance_m=1.2, picture=0, plane_depth_m=None, yaw=0.7):
     """The camera looks at CENTRE from `distance_m` away, turned about the vertical."""
     back = np.array([np.sin(yaw), -np.cos(yaw), 0.3])
     back /= np.linalg.norm(back)
     right = np.cross([0.0, 0, 1], back)
     right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(back, right), back], axis=1)
-    pose[:3, 3] = CENTRE + distance_m * back
-    picture = np.zeros((SIDE, SIDE, 3), np.uint8) if picture is None else picture
-    depth = np.full((SIDE, SIDE), 3.0, np.float32) if plane_depth_m is None else plane_depth_m
-    return RgbdFrame(picture, depth, CAMERA, pose)
+    pose = pose_of(np.stack([right, np.cross(back, right), back], axis=1), CENTRE + distance_m * back)
+    return frame_of(np.full((SIDE, SIDE), 3.0) if plane_depth_m is None else plane_depth_m, CAMERA, pose, picture)
 
 
 def drawn(yaw=0.7):

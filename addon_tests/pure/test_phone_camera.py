@@ -1,5 +1,7 @@
 """The whole phone: the same bytes in any order, nothing when off, and every lost pixel counted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -100,7 +102,7 @@ def test_frames_are_the_same_bytes_in_any_order_and_after_a_resume(name):
 def test_seeds_and_frames_differ_and_negative_frame_numbers_are_legal():
     profile, frame = load_profile("ipad_pro_lidar"), frame_of(3)
     camera = PhoneCamera(profile, 1, effects={"noise"})
-    numbered = {n: RgbdFrame(**{**vars(frame), "frame": n}) for n in (-2, -1, 0, 1, 2)}
+    numbered = {n: replace(frame, frame=n) for n in (-2, -1, 0, 1, 2)}
     pictures = {camera.see(f)[0].plane_depth_m.tobytes() for f in numbered.values()}
     assert len(pictures) == 5
     other = PhoneCamera(profile, 2, effects={"noise"}).see(frame)[0]
@@ -141,7 +143,7 @@ def test_noise_has_its_sigma_through_the_whole_chain():
     intrinsics = Intrinsics(256, 192, 210, 210, 128, 96)
     wall = RgbdFrame(np.full((192, 256, 3), 128, np.uint8), np.full((192, 256), 2.0), intrinsics, np.eye(4))
     camera = PhoneCamera(load_profile("ipad_pro_lidar"), 1)
-    frames = [RgbdFrame(**{**vars(wall), "frame": i}) for i in range(12)]
+    frames = [replace(wall, frame=i) for i in range(12)]
     errors = np.stack([camera.see(f)[0].plane_depth_m - 2 for f in frames])
     assert errors.std() == pytest.approx(0.01, rel=0.05)
 
@@ -159,7 +161,7 @@ def test_a_devices_gain_says_nothing_about_its_first_reading():
     profile = load_profile("ipad_pro_lidar")
     first, late = (
         np.array([PhoneCamera(profile, seed, effects={"light_sensor"}).see(frame)[0].ambient[1] for seed in range(300)])
-        for frame in (RgbdFrame(**{**vars(frame_of(1)), "frame": n}) for n in (0, 9))
+        for frame in (replace(frame_of(1), frame=n) for n in (0, 9))
     )
     # The gain is the same in both, so what is left is the noise of two readings.
     noise = first / late - 1
@@ -175,7 +177,7 @@ def test_a_track_without_the_frame_is_refused(effect):
 
 
 def test_a_frame_without_an_ambient_sensor_stays_without():
-    frame = RgbdFrame(**{**vars(frame_of(1)), "ambient": None})
+    frame = replace(frame_of(1), ambient=None)
     assert PhoneCamera(load_profile("ipad_pro_lidar"), 1).see(frame)[0].ambient is None
 
 

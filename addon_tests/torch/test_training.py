@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from addon_tests.pure.made import UPRIGHT, pose_of
 from xihenet.camera import encode_exposed
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.lattice import Lattice
@@ -49,9 +50,7 @@ def lights_of_room(balls):
 def write_room(path, index, **changes):
     """Two views and two positions of pictures that hold nothing but noise of a room's own colour; the file."""
     rng = np.random.default_rng(index)
-    pose = np.eye(4)
-    pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
-    tint = rng.random(3)
+    pose, tint = pose_of(UPRIGHT), rng.random(3)
     radiance = rng.random((2, 12, 16, 3)) * tint
     arrays = {
         "srgb_u8": encode_exposed(radiance, 2.0), "radiance": radiance.astype(np.float16),
