@@ -62,12 +62,12 @@ def write_image(path, pixels):
     return path
 
 
-def png(width, height, *, depth=8, is_grey=False, rows=b""):
-    """A PNG whose header says this, whatever it holds; of RGB, or grey."""
+def png(width, height, *, depth=8, rows=b""):
+    """A PNG of RGB whose header says this, whatever it holds."""
 
     def chunk(kind, content):
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
-    header = struct.pack(">IIBBBBB", width, height, depth, 0 if is_grey else 2, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, depth, 2, 0, 0, 0)
     chunks = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + chunks
