@@ -161,14 +161,6 @@ def _bulb(place: Place, lamp: Lamp, height: float, radius: float) -> None:
         lighting.add_bulb(replace(place, z=height), kelvin=lamp.kelvin, watts=lamp.watts, radius=radius)
 
 
-def _floor_lamp(place: Place, lamp: Lamp, metal: Material) -> None:
-    lighting.add_floor_lamp(place, metal, height=lamp.size_m, **_shaded(lamp))
-
-
-def _table_lamp(place: Place, lamp: Lamp, metal: Material) -> None:
-    lighting.add_table_lamp(place, metal, height=lamp.size_m, foot=JUG, **_shaded(lamp))
-
-
 def _pendant(place: Place, lamp: Lamp, metal: Material) -> None:
     """An opaque dome that shines down."""
     lighting.add_pendant(place, metal, metal, drop=lamp.size_m + 0.1)
@@ -219,20 +211,20 @@ def _spot(place: Place, lamp: Lamp, metal: Material) -> None:
     _ceiling_light(place, lamp, "DISK")
 
 
-def _strip(place: Place, lamp: Lamp, metal: Material) -> None:
-    """A tube of 4 cm along X under the ceiling, three times as long as its size."""
-    _ceiling_light(place, lamp, "RECTANGLE", size=3 * lamp.size_m, size_y=0.04)
-
-
 def _bare_bulb(place: Place, lamp: Lamp, metal: Material) -> None:
     """A bulb or a flame with nothing around it; its size is its radius."""
     _bulb(place, lamp, lamp.z - 1.1 * lamp.size_m, lamp.size_m)
 
 
 LAMP_MAKERS = {
-    "floor": _floor_lamp, "table": _table_lamp, "pendant": _pendant, "globe": _globe, "panel": _panel, "spot": _spot,
-    "strip": _strip, "bulb": _bare_bulb, "candle": _bare_bulb,
-    "uplight": _uplight,
+    "floor": lambda place, lamp, metal: lighting.add_floor_lamp(place, metal, height=lamp.size_m, **_shaded(lamp)),
+    "table": lambda place, lamp, metal: lighting.add_table_lamp(
+        place, metal, height=lamp.size_m, foot=JUG, **_shaded(lamp)
+    ),
+    # A tube of 4 cm along X under the ceiling, three times as long as its size.
+    "strip": lambda place, lamp, _: _ceiling_light(place, lamp, "RECTANGLE", size=3 * lamp.size_m, size_y=0.04),
+    "pendant": _pendant, "globe": _globe, "panel": _panel, "spot": _spot, "uplight": _uplight,
+    "bulb": _bare_bulb, "candle": _bare_bulb,
 }  # fmt: skip
 
 

@@ -118,11 +118,6 @@ def _screen(place: Place, piece: Piece, m: list[Material]) -> None:
         place.add(box((w - 0.03, 0.002, h - 0.1), (0, -0.017, middle)), glow, "picture")
 
 
-def _ball(place: Place, piece: Piece, m: list[Material]) -> None:
-    d = piece.size[0]
-    place.add(ball(d / 2, (0, 0, d / 2), 32), m[0], smooth=True)
-
-
 def _book_pile(place: Place, piece: Piece, m: list[Material]) -> None:
     w, d, h = piece.size
     n = max(2, round(h / 0.03))
@@ -152,12 +147,13 @@ def _turned(place: Place, piece: Piece, m: list[Material]) -> None:
 MAKERS: dict[str, Maker] = {
     "table": _table, "desk": _table, "coffee_table": _table, "sofa": _sofa, "armchair": _sofa,
     "bookcase": _bookcase, "sideboard": _cabinet, "wardrobe": _cabinet, "chest": _cabinet, "counter": _counter,
-    "tub": _tub, "plant": _plant, "picture": _picture, "radiator": _radiator, "screen": _screen, "ball": _ball,
+    "tub": _tub, "plant": _plant, "picture": _picture, "radiator": _radiator, "screen": _screen,
     "book_pile": _book_pile, "stairs": _stairs,
     "round_table": lambda place, piece, m: furniture.add_round_table(place, piece.size[0] / 2, piece.size[2], *m),
     "chair": lambda place, piece, m: furniture.add_chair(place, *m),
     "bed": lambda place, piece, m: furniture.add_bed(place, piece.size[0] - 0.2, *m),
     "bench": lambda place, piece, m: furniture.add_bench(place, piece.size, *m),
+    "ball": lambda place, piece, m: place.add(ball(d := piece.size[0] / 2, (0, 0, d), 32), m[0], smooth=True),
     "post": lambda place, piece, m: place.add(cylinder(piece.size[0] / 2, piece.size[2]), m[0], smooth=True),
     **dict.fromkeys(BOXES, _box), **dict.fromkeys(TURNED, _turned),
 }  # fmt: skip
