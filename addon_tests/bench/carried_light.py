@@ -162,13 +162,8 @@ def main() -> None:
     options = parser.parse_args()
     columns = ["run", "estimates come", *MODES, "every frame"]
     if options.lamp:
-        columns = [
-            "recording",
-            "lamp",
-            "estimates come",
-            *(f"off, {m}" for m in MODES),
-            *(f"flicker, {m}" for m in MODES),
-        ]
+        of_modes = [f"{what}, {mode}" for what in ("off", "flicker") for mode in MODES]
+        columns = ["recording", "lamp", "estimates come", *of_modes]
     print(f"| {' | '.join(columns)} |\n|{' --- |' * len(columns)}")
     for folder in options.folders:
         (of_a_lamp if options.lamp else of_a_run)(folder, options.estimator)

@@ -78,16 +78,8 @@ def test_the_advice_is_written_and_leaves_the_scene_as_it_was(scene, out):
 
 
 def test_the_sentence_says_what_a_look_takes_and_rounds_no_gain_up():
-    turn = {
-        "frame": 31,
-        "words": "left",
-        "yaw_deg": 61.0,
-        "pitch_deg": 0.0,
-        "turn_deg": 61.0,
-        "hold_s": 1,
-        "whole_s": 2.6,
-    }
-    look = LookAway(**turn, place_m=(0.0, 0.0, 1.4), direction=(0.0, 1.0, 0.0))
+    turn = {"frame": 31, "words": "left", "yaw_deg": 61.0, "pitch_deg": 0.0, "turn_deg": 61.0}
+    look = LookAway(**turn, hold_s=1, whole_s=2.6, place_m=(0.0, 0.0, 1.4), direction=(0.0, 1.0, 0.0))
     of_ball = {"positions_m": ((0.0, 0.0, 0.0),), "coverage": 0.94, "gain": 0.05, "predicted_coverage": 0.97}
     ball = ObjectAdvice(name="Ball", look=look, expected_error=0.0260, predicted_error=0.0249, **of_ball)
     assert ball.sentence == (

@@ -90,13 +90,9 @@ def test_several_estimators_stand_in_a_table_with_the_best_picture_first(run_fol
 
 
 def test_what_a_run_asks_to_check_is_shown_in_the_panels_words_and_the_rest_is_in_the_report(run_folder):
-    said = [
-        "2 frames showed no surface at all: check the camera's clip range.",
-        "Set another with --exposure.",
-        "c",
-        "d",
-    ]
-    for n, shown in ((0, []), (3, [said[0], "Set another with Own Exposure.", "c"])):
+    first = "2 frames showed no surface at all: check the camera's clip range."
+    said = [first, "Set another with --exposure.", "c", "d"]
+    for n, shown in ((0, []), (3, [first, "Set another with Own Exposure.", "c"])):
         content = CONTENT | {"notes": ["One Blender unit is 0.1 m", *said], "warnings": said[:n]}
         (run_folder / "results.json").write_text(json.dumps(content), encoding="utf-8")
         os.utime(run_folder / "results.json", (n, n))

@@ -51,17 +51,10 @@ def test_rooms_are_drawn_whole_so_that_frames_alike_add_no_certainty():
     assert by_room.high - by_room.low > 4 * (by_frame.high - by_frame.low)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"unit": ""},
-        {"n": 0},
-        {"low": 2.0},
-        {"high": float("nan")},
-        {"work": "much the same"},
-        {"series": "a line without a place"},
-    ],
-)
+WRONG = {"unit": "", "n": 0, "low": 2.0, "high": float("nan"), "work": "much the same", "series": "without a place"}
+
+
+@pytest.mark.parametrize("wrong", [{name: value} for name, value in WRONG.items()])
 def test_a_figure_without_unit_interval_or_cases_is_refused(wrong):
     whole = {"what": "time", "unit": "ms", "value": 1.0, "low": 0.5, "high": 1.5, "n": 3}
     with pytest.raises(ValueError, match="Row 'time'"):

@@ -152,20 +152,14 @@ def _frame(
     if compared is not None and "ground_truth" in compared.pictures:
         file = outputs.folder / compared.pictures["ground_truth"]
         truth = pictures.place(file.read_bytes()) if file.is_file() else None
-    coverage = [probe.coverage for probe in frame.probes]
+    coverage, matrix = [probe.coverage for probe in frame.probes], _by_column(TURNED @ seen.world_from_camera)
     return {
         "frame": frame.frame,
         "time_s": frame.time_s,
         "captured": pictures.place(encode_png(seen.srgb_u8)),
         "truth": truth,
         "depth": depths.place(packed),
-        "camera": {
-            "matrix": _by_column(TURNED @ seen.world_from_camera),
-            "fx": k.fx,
-            "fy": k.fy,
-            "cx": k.cx,
-            "cy": k.cy,
-        },
+        "camera": {"matrix": matrix, "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy},
         "surfaces": _surfaces(results, frame.frame),
         "numbers": [["Sphere seen", format_percent(float(np.mean(coverage)), 2)]] if coverage else [],
         "by_method": _numbers(results, frame),

@@ -20,13 +20,8 @@ from xihenet.mirror_sphere import mirror_sphere_cloud
 from xihenet.records import ArrayBool, ArrayF64
 from xihenet.sphere import AnchorLattice
 
-TRUE, WALK, VIEW, SPHERE, AMBIENT = (
-    "true light",
-    "estimate of the walk",
-    "estimate of one view",
-    "mirror sphere",
-    "ambient",
-)
+TRUE, WALK, VIEW = "true light", "estimate of the walk", "estimate of one view"
+SPHERE, AMBIENT = "mirror sphere", "ambient"
 METHODS = (WALK, VIEW, SPHERE, AMBIENT)
 LIGHT = (
     "The paper shows pictures and no figure. Ambient light is the mean of what the camera sees, as ARKit gives one "
