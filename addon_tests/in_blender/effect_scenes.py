@@ -5,7 +5,7 @@ import math
 
 import bpy
 from planned_effects import plan_light_transport
-from tiny_scenes import add, add_lamp, box, empty_scene, key, material, node_of, phone, set_world, sphere
+from tiny_scenes import add, add_lamp, box, empty_scene, key, material, node_of, nodes_of, phone, set_world, sphere
 
 
 def stage(make_look=None, lamp=True):
@@ -24,16 +24,6 @@ def stage(make_look=None, lamp=True):
 
 def ball(scene, name, centre, look, collection=None):
     return sphere(scene, name, centre, 0.3, look, collection)
-
-
-def nodes_of(block):
-    """The node tree of a new material or world, emptied but for an output node, which is given too."""
-    if block.node_tree is None:
-        block.use_nodes = True
-    tree = block.node_tree
-    tree.nodes.clear()
-    kind = "ShaderNodeOutputWorld" if isinstance(block, bpy.types.World) else "ShaderNodeOutputMaterial"
-    return tree, tree.nodes.new(kind)
 
 
 def shader_look(name, node, **inputs):

@@ -28,18 +28,25 @@ def empty_scene():
     return scene
 
 
+def nodes_of(block):
+    """The node tree of a new material or world, emptied but for an output node, which is given too."""
+    if block.node_tree is None:
+        block.use_nodes = True
+    tree = block.node_tree
+    tree.nodes.clear()
+    kind = "ShaderNodeOutputWorld" if isinstance(block, bpy.types.World) else "ShaderNodeOutputMaterial"
+    return tree, tree.nodes.new(kind)
+
+
 def material(name, colour=(0.7, 0.7, 0.7), emission=0.0):
     """A diffuse or an emissive material."""
     made = bpy.data.materials.new(name)
-    if made.node_tree is None:
-        made.use_nodes = True
-    tree = made.node_tree
-    tree.nodes.clear()
+    tree, output = nodes_of(made)
     shader = tree.nodes.new("ShaderNodeEmission" if emission else "ShaderNodeBsdfDiffuse")
     shader.inputs["Color"].default_value = (*colour, 1.0)
     if emission:
         shader.inputs["Strength"].default_value = emission
-    tree.links.new(shader.outputs[0], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
     return made
 
 
