@@ -104,6 +104,7 @@ def sunny_room_by_highlights(share: float) -> Any:
 
 PINHOLE = Intrinsics(4, 1, 4.0, 4.0, 2.0, 0.5)
 FOUR_CODES = np.array([0, 1, 128, 255])
+QUARTER = [0, 1 / 255 / 4, float(linear_to_srgb(srgb_to_linear(128 / 255) / 4)), float(linear_to_srgb(0.25))]
 
 
 def re_exposed(given: tuple[float, float]) -> list[float]:
@@ -157,6 +158,12 @@ CURVE = [
         equal(CODES),
     ),
     row(
+        "every 8-bit code comes back through float32 as well",
+        CODES,
+        lambda codes: np.rint(linear_to_srgb(srgb_to_linear(np.float32(codes) / np.float32(255))) * 255),
+        equal(CODES.astype(np.float32)),
+    ),
+    row(
         "the two pieces of the curve meet without a step",
         0.0031308,
         lambda join: np.abs(np.diff(linear_to_srgb(join + AROUND))).max(),
@@ -182,6 +189,12 @@ CURVE = [
         lambda light: float(linear_to_srgb(light)),
         that("above 0, below 1e-43", lambda came: 0 < came < 1e-43),
         lambda light: float(1.055 * light ** (1 / 2.4) - 0.055),
+    ),
+    row(
+        "NaN stays NaN beside colours that do not",
+        np.array([np.nan, -1.0, 2.0]),
+        lambda srgb: np.isnan(srgb_to_linear(srgb)).tolist() + srgb_to_linear(srgb)[1:].tolist(),
+        equal([True, False, False, 0.0, 1.0]),
     ),
 ]
 NEAR_1 = near(1.0, 0.3)
@@ -224,10 +237,11 @@ BY_HIGHLIGHTS = [
     ),
     *map(sunny_room_by_highlights, (0.05, 0.2)),
 ]
-WHITE = equal([0.0, 1.0, 1.0, 1.0])
+WHITE, A_QUARTER = equal([0.0, 1.0, 1.0, 1.0]), near(QUARTER, 1e-6)
 EXPOSURES = [
     re_exposes("1e300 times the exposure keeps black and makes all else white", 1e-300, 1.0, WHITE, encoded_scaled),
     re_exposes("a 1e300th of the exposure makes all black", 1.0, 1e-300, near([0.0] * 4, 1e-290), upper_piece),
+    re_exposes("a quarter of the exposure is a quarter of the linear light", 1.0, 0.25, A_QUARTER, encoded_scaled),
     re_exposes("a reference exposure of 0 is refused", 1.0, 0.0, refused("expected a positive, finite exposure")),
     re_exposes("a ratio of exposures beyond float64 is refused", 1e-320, 1.0, refused("a ratio of inf")),
     re_exposes("a frame of exposure 0 is refused", 0.0, 1.0, refused("expected a positive factor")),

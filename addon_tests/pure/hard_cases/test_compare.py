@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from addon_tests.hard_case import Must, at_most, case, equal, near, refused, that
-from xihenet.metrics import angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
+from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
 
 STAGE = "compare"
 MASK = np.ones((8, 8))
@@ -67,6 +67,13 @@ def score(metric: str, name: str, prediction: Any, truth: Any, must: Must, naive
     return case(sentence, (prediction, truth, mask), lambda given: function(*given), must, naive)
 
 
+def nan_outside(image: np.ndarray) -> np.ndarray:
+    """A picture whose left half is NaN."""
+    broken = image.copy()
+    broken[:, :4] = np.nan
+    return broken
+
+
 def rmse_of_samples(given: Given) -> float:
     return float(np.std(given[0] - given[1], ddof=1))
 
@@ -79,23 +86,48 @@ def rmse_in_float32(given: Given) -> float:
     return float(np.sqrt(np.cumsum(given[0].astype(np.float32) ** 2, dtype=np.float32)[-1] / given[0].size))
 
 
+def angle_of_other_colours(given: Given) -> float:
+    return angle_by_hand((given[0] + 1e-3, given[1] * [1, 1, 0.99], given[2]))
+
+
+def ssim_rounded(given: Given) -> float:
+    return float(np.float32(ssim_by_hand(given)) * np.float32(0.999999))
+
+
+RIGHT_HALF = np.repeat([0.0, 1.0], 4) * np.ones((8, 1))
 DARK_PIXEL, BRIGHT_PIXEL, ONE = np.full((1, 1, 3), 0.25), np.full((1, 1, 3), 0.75), np.ones((1, 1))
 YELLOW, YELLOW_DEG = GREY * [1, 1, 0], np.degrees(np.arctan2(1, np.sqrt(2)))
+HUE_DEG = np.degrees(1e-9 / 0.5 * np.sqrt(2) / 3)
 TEXTURE = 1e-9 * PICTURE
 NO_PIXELS, NO_MASK = np.zeros((0, 0, 3)), np.zeros((0, 0))
 MILLION, ALL = np.full((1000, 1000, 3), 0.1), np.ones((1000, 1000))
+HALF_GREY, HALF_DIM = nan_outside(GREY), nan_outside(GREY / 2)
+NAN_INSIDE = "pictures that are NaN inside the mask is refused with their number"
+REFUSED_NAN = refused("prediction: expected finite colour inside the mask, got 32")
+REFUSED_MASK = refused("mask: expected bool or weights in [0, 1]")
+REFUSED_LINEAR = refused("expected sRGB-encoded colour in [0, 1], got 64 pixels")
 SI, ANGLE = "scale-invariant RMSE", "angular error"
 
 PICTURES = [
     *(score(m, "pictures under an empty mask is undefined", PICTURE, OTHER, UNDEFINED, mask=MASK * 0) for m in METRICS),
     *(score(m, "pictures without pixels is undefined", NO_PIXELS, NO_PIXELS, UNDEFINED, mask=NO_MASK) for m in METRICS),
+    *(
+        score(m, "pictures that are NaN outside the mask", HALF_GREY, HALF_DIM, near(value, 1e-6), mask=RIGHT_HALF)
+        for m, value in (("RMSE", 0.25), ("PSNR", 12.0412))
+    ),
+    *(score(m, NAN_INSIDE, nan_outside(PICTURE), PICTURE, REFUSED_NAN) for m in METRICS),
     score("RMSE", "one pixel", DARK_PIXEL, BRIGHT_PIXEL, equal(0.5), rmse_of_samples, ONE),
     score("SSIM", "one pixel is that of its luminance alone", DARK_PIXEL, BRIGHT_PIXEL, near(0.6001, 1e-3), mask=ONE),
+    score("PSNR", "equal pictures is undefined", PICTURE, PICTURE, UNDEFINED),
+    score("SSIM", "equal pictures is exactly 1", PICTURE, PICTURE, equal(1.0), ssim_rounded),
     score("SSIM", "equal constant pictures is exactly 1", GREY, GREY, equal(1.0)),
     score("SSIM", "black pictures is exactly 1", BLACK, BLACK, equal(1.0)),
+    score(ANGLE, "equal pictures is exactly 0", PICTURE, PICTURE, equal(0.0)),
     score(ANGLE, "a picture and its double is 0", PICTURE, PICTURE * 2, at_most(1e-13)),
+    score(ANGLE, "hues that differ by 1e-9", GREY, GREY + [1e-9, 0, 0], near(HUE_DEG, 1e-12)),
     score(ANGLE, "a black prediction is undefined and not perfect", BLACK, PICTURE, UNDEFINED),
     score(ANGLE, "a black truth is undefined", PICTURE, BLACK, UNDEFINED),
+    score(ANGLE, "opposite colours", GREY, -GREY, equal(180.0), angle_of_other_colours),
     score(ANGLE, "denormal colours", GREY * 1e-320, YELLOW, near(YELLOW_DEG, 0.1)),
     score(ANGLE, "colours of 1e200", GREY * 1e200, YELLOW, near(YELLOW_DEG, 1e-9)),
     score(SI, "an exactly scaled picture is 0", PICTURE * 3, PICTURE, at_most(1e-15)),
@@ -109,18 +141,31 @@ PICTURES = [
         "RMSE", "a million pixels of a tenth is a tenth", MILLION, MILLION * 0, near(0.1, 1e-12), rmse_in_float32, ALL
     ),
     score("PSNR", "pictures that differ by 1e-200 is finite", GREY * 2e-200, BLACK, near(4000.0, 1e-6)),
+    score("PSNR", "linear light above 1 is refused", GREY * 4, GREY, REFUSED_LINEAR),
     score("SSIM", "flat pictures with a texture of 1e-9", GREY + TEXTURE, GREY - TEXTURE, near(1.0, 1e-6)),
     score("SSIM", "black and white", BLACK, BLACK + 1, near(1e-4, 1e-6)),
     *(
         score(m, "grey and black under a mask of 5e-324", GREY, BLACK, near(value, 1e-3), mask=MASK * 5e-324)
         for m, value in (("RMSE", 0.5), ("PSNR", 6.0206), ("SSIM", 4e-4))
     ),
+    score("RMSE", "a mask with NaN is refused", GREY, BLACK, REFUSED_MASK, mask=MASK * np.nan),
+    score("RMSE", "a mask of 255 is refused", GREY, BLACK, REFUSED_MASK, mask=MASK * 255),
 ]
 
 
 @pytest.mark.parametrize("given, ask, must, naive", PICTURES)
 def test_a_score_of_pictures_is_right_or_undefined(given, ask, must, naive, comes_out):
     assert comes_out(given, ask, must, naive)
+
+
+def blacks(given: Given) -> tuple[int, int, int]:
+    found = angular_error(*given)
+    return found.n_pixels, found.n_black_prediction, found.n_black_truth
+
+
+def blacks_by_hand(given: Given) -> tuple[int, int, int]:
+    """Naive: an angle of NaN is an angle of 0, and no pixel is black."""
+    return given[0][..., 0].size, 0, 0
 
 
 def shc(given: tuple[Any, Any]) -> float:
@@ -133,6 +178,18 @@ def shc_by_hand(given: tuple[Any, Any]) -> float:
 
 
 SH = np.ones((9, 3))
+HALF_BLACK = np.where(RIGHT_HALF[..., None] > 0, GREY, BLACK)
+
+
+@pytest.mark.parametrize(
+    "truth, must",
+    [
+        case("black pixels of a prediction are counted", GREY, equal((64, 32, 0))),
+        case("black pixels of the truth are counted, whatever the prediction", BLACK, equal((64, 0, 64))),
+    ],
+)
+def test_black_pixels_are_counted(truth, must, comes_out):
+    assert comes_out((HALF_BLACK, truth, MASK), blacks, must, blacks_by_hand)
 
 
 def test_coefficients_that_differ_by_1e200_have_that_error(comes_out):

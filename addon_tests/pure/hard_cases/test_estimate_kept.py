@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from addon_tests.hard_case import at_most, equal, near, refused, row
 from addon_tests.pure.hard_cases.hard_clouds import CLOUDS, NOTHING, WHITE_LIGHT, N, estimator
 from xihenet.backend import LocalBackend
 from xihenet.controller import XiheController
-from xihenet.estimators import EstimateContext
+from xihenet.estimators import EstimateContext, load
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.lattice_format import LatticeWeights, load_weights
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER, save_weights
@@ -46,6 +47,21 @@ def normalised_together(clouds: list[UnitSphereCloud]) -> float:
     """Naive: colours relative to the mean of the whole batch."""
     means = np.array([cloud.srgb.mean() for cloud in clouds])
     return float(np.abs(means / means.mean() - means / means).max())
+
+
+def shuffled(clouds: list[UnitSphereCloud]) -> float:
+    """The largest difference that the order of a batch makes."""
+    order = np.random.default_rng(1).permutation(len(clouds))
+    there = estimator().estimate_batch(*stacked(clouds))[order]
+    return float(np.abs(there - estimator().estimate_batch(*stacked([clouds[i] for i in order]))).max())
+
+
+def running_mean(clouds: list[UnitSphereCloud]) -> float:
+    """Naive: a state that is carried from cloud to cloud."""
+    means = np.array([cloud.srgb.mean() for cloud in clouds])
+    order = np.random.default_rng(1).permutation(len(clouds))
+    carried, shuffled_too = (np.cumsum(m) / np.arange(1, len(m) + 1) for m in (means, means[order]))
+    return float(np.abs(carried[order] - shuffled_too).max())
 
 
 def shipped(target: str = "ldr") -> LatticeWeights:
@@ -132,6 +148,7 @@ def unclipped(ambient: list[float]) -> float:
     return ambient[0] * WHITE_LIGHT
 
 
+of_anchors = partial(load, "lattice")
 NAN_WITHIN = np.where(np.arange(27).reshape(9, 3) == 13, np.nan, 0)
 WRONG_ESTIMATES = {
     "an exposure of 0": {"exposure": 0.0},
@@ -146,12 +163,14 @@ SESSIONS = [
 ]
 CASES = [
     row("a batch of extremes is its clouds one by one", BATCH, against_single, at_most(1e-4), normalised_together),
+    row("the order of a batch makes no difference", BATCH, shuffled, at_most(1e-4), running_mean),
     row("weights in half floats give the light of those in float32", 3, half_against_float, at_most(0.005), in_8_bits),
     *(
         row(f"saved and loaded weights give the same light ({t})", t, saved_and_loaded, equal(0.0), saved_as_text)
         for t in ("ldr", "hdr")
     ),
     row("a weight beyond half floats is refused", 1e6, half_of_weight, refused("gate.bias does not fit into float16")),
+    row("a weight of nan is refused", np.nan, half_of_weight, refused("gate.bias: expected finite weights")),
     *(
         row(f"a session {name}", plane_depths, session, equal(outcome), session_by_hand)
         for name, plane_depths, outcome in SESSIONS
@@ -162,6 +181,7 @@ CASES = [
         row(f"an estimate with {name} is refused", wrong, made, refused(f"LightEstimate.{next(iter(wrong))}"))
         for name, wrong in WRONG_ESTIMATES.items()
     ),
+    row("an estimator without anchors is refused", 0, of_anchors, refused("expected at least one anchor")),
 ]
 
 

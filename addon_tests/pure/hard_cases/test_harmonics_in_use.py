@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from addon_tests.hard_case import at_most, equal, near, refused, row, that
-from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny
+from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny, windowed
 from xihenet.sh import basis, dering, dering_with_strength, irradiance, project_panorama, rotate
 
 STAGE = "harmonics"
@@ -81,6 +81,11 @@ def window_of(sh: np.ndarray) -> float:
     return dering_with_strength(sh)[1]
 
 
+def window_too_weak(sh: np.ndarray) -> float:
+    """The lowest irradiance under a window 1 % weaker than the one chosen."""
+    return lowest(windowed(sh, 1 - window_of(sh) * 0.99))
+
+
 def window_by_minimum(sh: np.ndarray) -> float:
     return float(np.clip(-lit(sh).min(), 0, 1))
 
@@ -151,6 +156,20 @@ CASES = [
         equal([1.0, 0.0, 1.0]),
     ),
     row(
+        "a window 1 % weaker would ring",
+        SUN,
+        window_too_weak,
+        that("negative", lambda came: came < 0),
+        lambda sh: lowest(dering(sh) * np.repeat([1, 0.9, 0.7], [1, 3, 5])[:, None]),
+    ),
+    row(
+        "light of odd bands alone becomes black",
+        light(c1=1, c2=-2, c3=0.5),
+        lambda sh: float(np.abs(dering(sh)).max()),
+        at_most(1e-8),
+        lambda sh: float(np.abs(lanczos(sh)).max()),
+    ),
+    row(
         "constant light of order 10 irradiates pi times itself",
         light(10, c0=CONSTANT),
         lit,
@@ -175,6 +194,7 @@ CASES = [
         row(f"the window of light times {factor:g} is the same", SUN * factor, window_of, WINDOW, window_by_minimum)
         for factor in (1e-300, 1e-12, 1e250)
     ),
+    row("coefficients with nan are refused with their number", light(c3=np.nan), lit, refused("got 3 NaN or infinite")),
     row("five coefficients are refused", np.ones((5, 3)), dering, refused(FIVE)),
 ]
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from addon_tests.hard_case import at_most, equal, near, row, that
+from addon_tests.hard_case import at_most, equal, near, refused, row, that
 from addon_tests.pure.sh_samples import random_directions
 from xihenet.completeness import ENTROPY_SIZES, joint_entropy
 from xihenet.records import PointCloud
@@ -161,9 +161,12 @@ POINTS = [
     ("a point 3e38 m away sets its anchor", [0, 0, 3e38], set_at(3e38), seen_by_hand),
     ("a point whose distance float32 cannot hold is skipped", [3e38, 3e38, 3e38], SKIPPED, seen_by_hand),
     ("a point that float32 cannot hold is skipped", [1e39, 0, 0], SKIPPED, seen_by_hand),
+    ("a NaN point is skipped", [np.nan, 0, 0], SKIPPED, seen_by_hand),
+    ("an infinite point is skipped", [np.inf, 0, 1], SKIPPED, seen_by_hand),
     ("a point 65,535 m away keeps its distance", single(65535), set_at(65535), seen_in_half),
     ("a point 1e10 m away keeps its distance", single(1e10), set_at(1e10), seen_in_half),
     ("an empty cloud sets nothing", [], equal((0, 0, 0.0)), seen_by_hand),
+    ("a cloud of NaN alone sets nothing", [[np.nan] * 3] * 5, equal((0, 5, 0.0)), seen_by_hand),
     (
         "one good point among broken ones is found",
         [[np.nan] * 3, [0, 0, 2], [np.inf] * 3, [0, 0, 0]],
@@ -246,6 +249,7 @@ CASES = [
         for far, place_m in FAR.items()
     ),
     row("a probe where float32 ends sees nothing and counts it", [1e39, 0, 0], place_seen, equal((0, 3))),
+    row("a nan position is refused", [np.nan, 0, 0], place_seen, refused("expected three finite numbers")),
     *(
         row(f"the joint entropy of {name} is 0", points, entropy_of, equal(0.0), entropy_by_hand)
         for name, points in NO_ENTROPY.items()

@@ -176,6 +176,7 @@ CASES = [
     fires("black to white does not fire at an infinite theta", BLACK, WHITE, AT_INFINITY, NONE, excess_by_hand),
     fires("black to white does not fire at theta 1, of which it is no more", BLACK, WHITE, AT_1, NONE, by_hand),
     fires("black to white fires at theta just below 1", BLACK, WHITE, BELOW_1, COLOUR),
+    fires("a newly seen bright wall is coverage, not colour", DIM_HALF, DIM_ALL, DEFAULT, equal("coverage"), by_hand),
     fires("a newly seen bright wall is colour by the paper's rule", DIM_HALF, DIM_ALL, REFERENCE, COLOUR),
     fires("no cloud before this one fires for being first", None, BLACK, DEFAULT, equal("first")),
     fires("nothing seen does not fire for being first", None, NOTHING, AT_0, NONE),
