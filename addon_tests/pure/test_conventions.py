@@ -12,7 +12,7 @@ from addon_tests.pure.recordings import looking
 from xihenet.camera import pixel_rays
 from xihenet.captures.conventions import suspect
 from xihenet.captures.reading.values import quaternion_of, rotation_of
-from xihenet.captures.self_fit import AS_READ, Recording
+from xihenet.captures.self_fit import AS_READ, MIRROR, Recording
 from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA, BLENDER_FROM_UP
 
 
@@ -46,6 +46,7 @@ WRONG = {
     ("transposed", AS_READ): posed(transposed),
     ("inverse", AS_READ): posed(np.linalg.inv),
     ("w first", AS_READ): posed(w_first),
+    ("left-handed", AS_READ): posed(lambda pose: MIRROR @ pose @ MIRROR),
     (AS_READ, "10 x"): scaled(10),
     (AS_READ, "ray distance"): as_ray_distance,
 }

@@ -32,6 +32,7 @@ SAID_OF_POSES = {
     "inverse": ("The poses look like camera-from-world", "their inverse fits"),
     "inverse, camera axes": ("The poses look like camera-from-world of cameras that look {axes}", "their inverse fits"),
     "w first": ("The poses' quaternions look as if w came first", "as w x y z they fit"),
+    "left-handed": ("The poses look left-handed, as Unity's are", "with z mirrored in world and camera they fit"),
 }
 SAID_OF_DEPTH = {
     "5 x": ("The depth looks 5 times too large", "divided by 5 it fits"),

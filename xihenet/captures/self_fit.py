@@ -28,7 +28,8 @@ FEWEST_PAIRS = 3  # With at least FEWEST_OF_PAIR of them each
 FEWEST_OF_PAIR = 20
 
 AS_READ = "as read"
-POSES = (AS_READ, "camera axes", "transposed", "inverse", "inverse, camera axes", "w first")
+POSES = (AS_READ, "camera axes", "transposed", "inverse", "inverse, camera axes", "w first", "left-handed")
+MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
 DEPTHS = {
     AS_READ: 1.0,
     "5 x": 5.0,
@@ -88,6 +89,8 @@ class Recording:
         cameras = [_corrected(view.pose @ self.read_axes, poses) @ self.read_axes for view in self.views]
         if poses.endswith("camera axes"):
             cameras = [camera @ BLENDER_FROM_OPENCV_CAMERA for camera in cameras]
+        if poses == "left-handed":  # x right, y up, z forward, whatever was said of the camera
+            cameras = [MIRROR @ view.pose @ self.read_axes @ MIRROR for view in self.views]
         if not has_steps:
             for camera in cameras:
                 camera[:3, 3] = 0
