@@ -439,7 +439,7 @@ PLAIN = {
     "no poses": (gone(POSES), "no picture of colour/ has depth and a pose"),
     "poses are garbage": (put(POSES, b"\xff\xfe" + GARBAGE), "expected numbers as text"),
     "poses of another number": (put(POSES, "0 0 0 0 0 0 0 1\n"), "expected a line for each of 3"),
-    "poses of nine numbers": (put(POSES, "1 2 3 4 5 6 7 8 9\n" * 3), "expected 16 numbers"),
+    "poses of nine numbers": (put(POSES, "1 2 3 4 5 6 7 8 9\n" * 3), "pose 1: expected 16 numbers with spaces"),
     "poses that are text": (put(POSES, "a b c d e f g h\n" * 3), "expected 8 numbers"),
     "poses that are NaN": (put(POSES, "0 0 0 nan 0 0 0 1\n" * 3), "expected finite numbers"),
     "a pose that is NaN": (

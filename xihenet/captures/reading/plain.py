@@ -66,7 +66,8 @@ def read(folder: Path, up: str | None) -> Capture:
         depth = depths[colour.stem]
         frames.append(picture_frame(i + 1, time_s, camera, colour, depth, metres_per_unit, confidence))
     if not frames:
-        raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name (expected finite numbers)")
+        wanted = f": expected finite numbers, and depth/{colours[0].stem}.png for {colours[0].name}" if colours else ""
+        raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name{wanted}")
     notes = notes_on_times([frame.time_s for frame in frames])
     if times_s is None:
         notes += (f"Times are not known: {fps:g} frames a second are assumed.",)
@@ -94,6 +95,12 @@ def _poses(folder: Path, colours: Sequence[Path]) -> tuple[list[ArrayF64 | None]
     lines = [line.split() for line in _words(path, "\n") if line.strip() and not line.startswith("#")]
     if len(lines) != len(colours):
         raise ValueError(f"{path}: expected a line for each of {len(colours)} pictures, got {len(lines)}")
+    for number, line in enumerate(lines, 1):
+        if len(line) not in (8, 16):
+            raise ValueError(
+                f"{path}: pose {number}: expected 16 numbers with spaces between them, four rows of four, or 8, "
+                f"t x y z qx qy qz qw, got {len(line)}"
+            )
     if any(len(line) != 8 for line in lines):
         return [_matrix(line, path) for line in lines], None
     rows = [pose_numbers(line, 8, str(path)) for line in lines]
