@@ -478,6 +478,7 @@ NERFSTUDIO = {
     **of_pictures("images/2.png", "depth/2.png"),
     "garbage": (put(TRANSFORMS, GARBAGE), "expected JSON"),
     "a list": (put(TRANSFORMS, "[]"), "expected frames"),
+    "a scale of 0": (said(TRANSFORMS, applied_scale=0), "applied_scale: expected a positive number"),
     "a fish-eye": (said(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
     "a panorama": (said(TRANSFORMS, camera_model="EQUIRECTANGULAR"), "undistort the pictures"),
     "a camera of OpenCV": (said(TRANSFORMS, camera_model="OPENCV"), NOTE + "Times are not known"),

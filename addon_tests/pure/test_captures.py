@@ -1,5 +1,6 @@
 """Recordings in the layouts of others: what is read is what was seen. Broken ones are in test_broken_captures.py."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -214,6 +215,18 @@ def test_a_pose_between_two_is_as_near_to_either_whatever_the_lengths_of_their_q
     (tmp_path / "groundtruth.txt").write_text(around)
     across = open_capture(tmp_path).frames[0].camera.world_from_camera[:3, 0]
     np.testing.assert_allclose(across, [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-6)
+
+
+def test_places_that_nerfstudio_scaled_are_metres_again(tmp_path):
+    path = as_nerfstudio(tmp_path, walk(LAYOUTS["Nerfstudio"][1], 2)) / "transforms.json"
+    said, places = json.loads(path.read_text()), []
+    for scale in (1.0, 0.25):
+        for frame in said["frames"]:
+            for row in frame["transform_matrix"][:3]:
+                row[3] *= scale
+        path.write_text(json.dumps(said | {"applied_scale": scale}))
+        places.append([frame.camera.world_from_camera for frame in open_capture(tmp_path).frames])
+    np.testing.assert_allclose(*places)
 
 
 TEXTUAL = [name for name in LAYOUTS if not name.startswith("Record3D")]

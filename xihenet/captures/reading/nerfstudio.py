@@ -1,7 +1,8 @@
 """Recordings as Nerfstudio has them: transforms.json beside pictures and depth.
 
 Camera to world, the camera looks along -Z with +Y up, the world has +Z up; depth is 16-bit, in millimetres. Polycam and
-other apps export this form. There are no times: frames are taken to follow each other FPS times a second.
+other apps export this form. There are no times: frames are taken to follow each other FPS times a second. Places were
+multiplied by `applied_scale`, if there is one, and depth was not.
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ def read(folder: Path, up: str | None) -> Capture:
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path}: expected frames, a list with at least one")
     up = up or "z"
+    applied_scale = number_in(content, "applied_scale", 1.0)
+    if not 1e-6 < applied_scale < 1e6:
+        raise ValueError(f"{path}: applied_scale: expected a positive number, got {applied_scale:g}")
     frames, n_without = [], 0
     for number, entry in enumerate(entries, start=1):
         try:
@@ -43,6 +47,7 @@ def read(folder: Path, up: str | None) -> Capture:
                 n_without += 1
                 continue
             camera = frame_camera(_intrinsics({**content, **entry}), entry.get("transform_matrix"), up=up)
+            camera.world_from_camera[:3, 3] /= applied_scale
         except ValueError as error:
             raise ValueError(f"{path}, frame {number}: {error}") from error
         frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, 1e-3))
