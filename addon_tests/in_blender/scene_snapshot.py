@@ -3,6 +3,7 @@
 Every data-block is walked by its RNA properties, so that a setting nobody thought of is compared as well.
 """
 
+import contextlib
 import warnings
 
 import bpy
@@ -17,6 +18,15 @@ NOT_COMPARED |= {"uv_sculpt"}
 GEOMETRY = {"vertices", "edges", "loops", "polygons", "loop_triangles", "vertex_normals", "polygon_normals"}
 GEOMETRY |= {"corner_normals", "attributes", "loop_triangle_polygons", "color_attributes"}
 """Of meshes, thousands of entries each; compared as a hash of the coordinates instead."""
+
+
+@contextlib.contextmanager
+def nothing_changes():
+    """After the block the file is as it was before it."""
+    bpy.context.view_layer.update()
+    before = snapshot()
+    yield
+    assert differences(before, snapshot()) == ({}, [])
 
 
 def snapshot():

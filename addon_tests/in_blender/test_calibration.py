@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 import bpy
 import pytest
 from addon_runs import registered_addon, walk_for_the_panel
-from scene_snapshot import differences, snapshot
+from scene_snapshot import nothing_changes
 from tiny_scenes import look_at, room_with_a_virtual_sphere
 
 from xihe_blender.addon.calibration import calibration_file, calibration_line
@@ -27,10 +27,8 @@ def addon():
 
 def test_dearer_presets_take_no_less_and_the_scene_stays_as_it_is():
     scene = room_with_a_virtual_sphere()
-    bpy.context.view_layer.update()
-    before = snapshot()
-    found = run_blocking(calibrate(scene, SMALL))
-    assert differences(before, snapshot()) == ({}, [])
+    with nothing_changes():
+        found = run_blocking(calibrate(scene, SMALL))
     assert list(found.frame_s) == list(found.samples) == list(PRESETS)
     for values in (list(found.frame_s.values()), list(found.samples.values())):
         assert values == sorted(values) and values[0] > 0

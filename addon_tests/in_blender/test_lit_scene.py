@@ -12,7 +12,7 @@ from addon_runs import poll_message, registered_addon
 from mathutils import Matrix
 from previs_runs import DRAFT, N_FRAMES, QuickProbes, run, walk
 from renders import pixels_of_file, rendered_picture
-from scene_snapshot import data_blocks, differences, snapshot
+from scene_snapshot import data_blocks, differences, nothing_changes, snapshot
 from shown_lights import keyed, shown_light
 from tiny_scenes import box, material, opened, room_with_a_virtual_sphere, saved, sphere
 
@@ -72,14 +72,13 @@ def test_a_virtual_object_called_as_what_stands_for_the_room_stays_when_the_scen
     scene = room_with_a_virtual_sphere()
     ball = next(iter(virtual_collection(scene).objects))
     ball.name = name
-    before = snapshot()
-    lit = bpy.data.scenes.new(LIT_SCENE)
-    lit[ROOM] = scene
-    set_up_lit_scene(lit, [ball], {"Ball": (ball.name, bpy.data.worlds[0])})
-    hide_behind_room(lit, scene, [ball])
-    assert "Xihe Lit Table" in lit.objects
-    remove_lit_scene()
-    assert differences(before, snapshot()) == ({}, [])
+    with nothing_changes():
+        lit = bpy.data.scenes.new(LIT_SCENE)
+        lit[ROOM] = scene
+        set_up_lit_scene(lit, [ball], {"Ball": (ball.name, bpy.data.worlds[0])})
+        hide_behind_room(lit, scene, [ball])
+        assert "Xihe Lit Table" in lit.objects
+        remove_lit_scene()
 
 
 def test_no_line_of_the_room_is_drawn_over_the_captured_frame():

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from previs_runs import CAPTURED, counted_renders, files_below, unfinished_files
-from scene_snapshot import differences, snapshot
+from scene_snapshot import nothing_changes
 from tiny_scenes import opened
 
 from addon_tests.pure.commands import assert_refused, xihe_here
@@ -60,11 +60,9 @@ def verified(room_file, tmp_path_factory):
 
 
 def test_the_advice_is_written_and_leaves_the_scene_as_it_was(scene, out):
-    bpy.context.view_layer.update()
-    before = snapshot()
-    results = looked(scene, out, wishes=LookWishes(is_verified=True, n_random=2))
-    bpy.context.view_layer.update()
-    assert differences(before, snapshot()) == ({}, [])
+    with nothing_changes():
+        results = looked(scene, out, wishes=LookWishes(is_verified=True, n_random=2))
+        bpy.context.view_layer.update()
     written = json.loads((out / "look.json").read_text())
     assert as_json(results) == written and from_json(LookResults, written) == results
     (ball,) = results.objects
@@ -171,19 +169,18 @@ def test_the_better_camera_goes_the_path_looks_away_and_comes_back(scene, away):
 
 
 def test_remove_light_takes_the_better_camera_away(scene, away):
-    before = snapshot()
-    add_better_camera(scene, away)
-    add_better_camera(scene, away)
-    assert better_path_camera().name == BETTER_PATH and has_anything(scene)
-    remove_better_camera()
+    with nothing_changes():
+        add_better_camera(scene, away)
+        add_better_camera(scene, away)
+        assert better_path_camera().name == BETTER_PATH and has_anything(scene)
+        remove_better_camera()
     assert better_path_camera() is None and not has_anything(scene)
-    assert differences(before, snapshot()) == ({}, [])
 
 
 def test_a_copy_with_the_better_camera_is_saved_and_the_file_stays(scene, away, tmp_path):
-    before = snapshot()
-    save_better_path(scene, away, tmp_path / "better.blend")
-    assert differences(before, snapshot()) == ({}, []) and unfinished_files(tmp_path) == []
+    with nothing_changes():
+        save_better_path(scene, away, tmp_path / "better.blend")
+    assert unfinished_files(tmp_path) == []
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "better.blend"), load_ui=False)
     copy = bpy.context.scene
     assert copy.camera.name == BETTER_PATH and copy.frame_end > 3

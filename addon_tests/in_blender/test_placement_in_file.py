@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from previs_runs import CAPTURED, counted_renders, run, walk
-from scene_snapshot import differences, snapshot
+from scene_snapshot import nothing_changes
 from tiny_scenes import opened, saved
 
 from xihe_blender.addon.placement_map import Squares, format_place
@@ -70,15 +70,14 @@ def test_the_map_of_a_run_is_that_of_the_command_line_and_costs_no_render(scene,
 
 
 def test_removing_the_light_removes_the_map(scene):
-    before = snapshot()
-    assert bpy.ops.xihe.map_places() == {"FINISHED"} and placement_map() is not None
-    for is_shown in (False, True):
-        scene.xihe.show_map = is_shown
-        assert placement_map().hide_viewport is not is_shown, "Blender draws the edges of its mesh"
-    assert bpy.ops.xihe.remove_light() == {"FINISHED"}
-    scene.xihe.property_unset("show_map")
-    scene.xihe.property_unset("map_place")
-    assert differences(before, snapshot()) == ({}, [])
+    with nothing_changes():
+        assert bpy.ops.xihe.map_places() == {"FINISHED"} and placement_map() is not None
+        for is_shown in (False, True):
+            scene.xihe.show_map = is_shown
+            assert placement_map().hide_viewport is not is_shown, "Blender draws the edges of its mesh"
+        assert bpy.ops.xihe.remove_light() == {"FINISHED"}
+        scene.xihe.property_unset("show_map")
+        scene.xihe.property_unset("map_place")
 
 
 def test_a_new_map_takes_the_place_of_the_old_one_and_a_saved_one_is_found_again(scene, tmp_path):

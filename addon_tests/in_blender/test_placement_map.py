@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 from previs_runs import CAPTURED, counted_renders, files_below, look_away, run, unfinished_files
-from scene_snapshot import differences, snapshot
+from scene_snapshot import nothing_changes
 from tiny_scenes import opened
 
 from xihe_blender.errors import UserError
@@ -48,11 +48,9 @@ def copied(kept, out):
 
 
 def test_a_map_has_places_with_their_light_and_leaves_the_scene_as_it_was(scene, out):
-    bpy.context.view_layer.update()
-    before = snapshot()
-    results = mapped(scene, out, wanted=replace(FEW, n_verified=4))
-    bpy.context.view_layer.update()
-    assert differences(before, snapshot()) == ({}, [])
+    with nothing_changes():
+        results = mapped(scene, out, wanted=replace(FEW, n_verified=4))
+        bpy.context.view_layer.update()
     written = json.loads((out / "placement.json").read_text())
     assert as_json(results) == written and from_json(PlacementResults, written) == results
     assert len(results.places) > 3 and results.n_unknown < len(results.places)
