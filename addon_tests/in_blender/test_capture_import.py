@@ -60,6 +60,7 @@ from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import Intrinsics
 from xihenet.trigger import RULES
 
+CENTRED = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
 OFF_CENTRE = Intrinsics(64, 48, 50.0, 48.5, 30.2, 25.1)
 
 
@@ -79,7 +80,7 @@ def imported(tmp_path, frames):
 # ------------------------------------------------------------------------------------------------------------- camera
 
 
-@pytest.mark.parametrize("k", [Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0), OFF_CENTRE], ids=["square", "off centre"])
+@pytest.mark.parametrize("k", [CENTRED, OFF_CENTRE], ids=["square", "off centre"])
 def test_blenders_camera_projects_as_the_phones_did(tmp_path, k):
     scene, made, capture = imported(tmp_path, walk(k))
     for number, captured in enumerate(capture.frames, start=1):
@@ -111,7 +112,7 @@ def test_a_lens_that_zooms_is_keyed_and_others_are_not(tmp_path):
 
 
 def test_keys_are_linear_at_whole_frames_and_turns_do_not_flip(tmp_path):
-    scene, made, _ = imported(tmp_path, walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0), 16))
+    scene, made, _ = imported(tmp_path, walk(CENTRED, 16))
     curves = f_curves(made.camera)
     assert len(curves) == 7
     for curve in curves:
@@ -152,7 +153,7 @@ def test_times_in_other_units_or_of_a_clock_that_was_set_are_refused_before_file
 
 
 def test_the_scan_lies_on_the_walls_faces_the_room_and_has_the_colours_that_were_seen(tmp_path):
-    _, made, _ = imported(tmp_path, walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0), 12))
+    _, made, _ = imported(tmp_path, walk(CENTRED, 12))
     mesh = made.scan.data
     points = np.array([tuple(vertex.co) for vertex in mesh.vertices])
     off_m = np.abs(HALF - np.abs(points)).min(axis=1)
@@ -178,8 +179,7 @@ def test_the_scan_lies_on_the_walls_faces_the_room_and_has_the_colours_that_were
 
 
 def test_pictures_play_behind_the_camera_with_the_recordings_times(tmp_path):
-    k = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
-    frames = [seen(k, looking(i, 0, (0, 0, 0)), i, time_s) for i, time_s in enumerate((0.0, 0.1, 0.2, 0.4))]
+    frames = [seen(CENTRED, looking(i, 0, (0, 0, 0)), i, time_s) for i, time_s in enumerate((0.0, 0.1, 0.2, 0.4))]
     scene, made, _ = imported(tmp_path, frames)
     behind = made.camera.data.background_images[0]
     assert made.camera.data.show_background_images
@@ -265,7 +265,7 @@ def test_a_blender_without_packages_runs_on_the_frames_that_an_import_kept(tmp_p
 
 
 def test_what_is_set_by_hand_is_remembered(tmp_path):
-    folder = recorded(tmp_path / "walk", walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)))
+    folder = recorded(tmp_path / "walk", walk(CENTRED))
     scene, chosen = empty_scene(), ChosenCapture(folder, scale=0.5, floor_m=-HALF[2] / 2)
     made = run_blocking(import_capture(scene, chosen))
     heights = np.array([vertex.co.z for vertex in made.scan.data.vertices])
@@ -275,14 +275,13 @@ def test_what_is_set_by_hand_is_remembered(tmp_path):
 
 
 def test_the_first_look_is_marked(tmp_path):
-    k = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
-    _, made, _ = imported(tmp_path, [seen(k, looking(0, 0, (0.5, 0.1, 0.2)))])
+    _, made, _ = imported(tmp_path, [seen(CENTRED, looking(0, 0, (0.5, 0.1, 0.2)))])
     assert made.looked_at.name == "Xihe looked here first"
     assert tuple(made.looked_at.location) == pytest.approx((HALF[0], 0.1, 0.2), abs=1e-5)
 
 
 def test_lengths_follow_the_scenes_units(tmp_path):
-    folder = recorded(tmp_path / "walk", walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)))
+    folder = recorded(tmp_path / "walk", walk(CENTRED))
     scene = empty_scene()
     scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 0.01
     made = run_blocking(import_capture(scene, ChosenCapture(folder)))
@@ -292,7 +291,7 @@ def test_lengths_follow_the_scenes_units(tmp_path):
 
 
 def test_what_was_there_stays(tmp_path):
-    folder = recorded(tmp_path / "walk", walk(Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)))
+    folder = recorded(tmp_path / "walk", walk(CENTRED))
     scene = empty_scene()
     lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
     camera = bpy.data.objects.new("Phone", bpy.data.cameras.new("Phone"))

@@ -181,8 +181,7 @@ def test_a_copy_with_the_better_camera_is_saved_and_the_file_stays(scene, away, 
     with nothing_changes():
         save_better_path(scene, away, tmp_path / "better.blend")
     assert unfinished_files(tmp_path) == []
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "better.blend"), load_ui=False)
-    copy = bpy.context.scene
+    copy = opened(tmp_path / "better.blend")
     assert copy.camera.name == BETTER_PATH and copy.frame_end > 3
 
 

@@ -212,8 +212,9 @@ def _estimator(options: argparse.Namespace) -> Estimator | EdgeBackend:
 
 def _score(capture: Capture, places: Sequence[Place], options: argparse.Namespace) -> list[EstimatorScore]:
     chosen = capture.frames
-    by_cloud = [name for name in estimators.names() if not estimators.kind(name).needs]  # But for what was seen.
-    loaded = {name: estimators.load(name, target="ldr") for name in ("ambient", *by_cloud)}
+    # Beside the ambient light those that need nothing but what was seen.
+    names = ["ambient", *(name for name in estimators.names() if not estimators.kind(name).needs)]
+    loaded = {name: estimators.load(name, target="ldr") for name in names}
     if places:
         places_m = np.array(list(_positions(capture, places).values()))
     else:
