@@ -33,6 +33,20 @@ def _after_undo(*_: Any) -> None:
         job.is_cancel_wanted = True
     else:
         remove_working_scenes()
+    _evaluate_unseen()
+
+
+def _evaluate_unseen() -> None:
+    """Bring the scene `Xihe Lit` and its room up to date, whichever of them no window shows.
+
+    Blender 4.3 looks once a minute through all scenes for what it need not keep drawn, and crashes on instances that
+    Undo has left without evaluated objects.
+    """
+    lit = lit_scene()
+    for scene in () if lit is None else filter(None, (lit, lit.get(ROOM))):
+        for layer in scene.view_layers:
+            if layer.depsgraph is not None:
+                layer.update()
 
 
 @bpy.app.handlers.persistent
