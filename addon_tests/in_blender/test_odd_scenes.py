@@ -336,6 +336,16 @@ def test_physics_that_is_not_baked_and_stretched_time_are_named():
     with bpy.context.temp_override(point_cache=cache):
         bpy.ops.ptcache.bake(bake=True)
     assert list(timing_faults(scene)) == [time]
+    painted, furry, dusty = (box(scene, name, (0, 0, 0), (1, 1, 0.1)) for name in ("Painted", "Furry", "Dusty"))
+    paint = painted.modifiers.new("Paint", "DYNAMIC_PAINT")
+    with bpy.context.temp_override(object=painted):
+        bpy.ops.dpaint.type_toggle(type="CANVAS")
+    dusty.modifiers.new("Dust", "PARTICLE_SYSTEM")  # Comes out the same whatever frames are left out.
+    fur = furry.modifiers.new("Fur", "PARTICLE_SYSTEM").particle_system
+    fur.settings.type = "HAIR"
+    assert [fault.name for fault in timing_faults(scene)] == ["Painted", scene.name]
+    paint.show_render, fur.use_hair_dynamics = False, True
+    assert [fault.name for fault in timing_faults(scene)] == ["Furry", scene.name]
 
 
 def test_an_object_that_follows_a_keyed_property_of_the_scene_is_named():

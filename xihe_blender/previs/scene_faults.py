@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import bpy
 import numpy as np
@@ -212,7 +213,7 @@ def layer_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
 
 def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
     """What may be elsewhere, or play at another frame, than in the user's own renders."""
-    loose = [item.name for item in scene.objects if any(_is_worked_out(modifier) for modifier in item.modifiers)]
+    loose = [item.name for item in scene.objects if any(map(_is_worked_out, item.modifiers))]
     world = scene.rigidbody_world
     if world is not None and world.enabled and world.collection is not None and not world.point_cache.is_baked:
         bodies = [item for item in world.collection.objects if item.rigid_body is not None]
@@ -245,8 +246,19 @@ def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
 
 
 def _is_worked_out(modifier: bpy.types.Modifier) -> bool:
-    """Whether it is cloth or a soft body that is not baked."""
-    return modifier.type in ("CLOTH", "SOFT_BODY") and modifier.show_render and not modifier.point_cache.is_baked
+    """Whether it is cloth, a soft body, hair that moves or dynamic paint, and is not baked.
+
+    Of a simulation zone of geometry nodes Python is not told whether it is.
+    """
+    caches: list[Any] = []
+    if modifier.type in ("CLOTH", "SOFT_BODY"):
+        caches = [modifier.point_cache]
+    elif modifier.type == "PARTICLE_SYSTEM" and modifier.particle_system.use_hair_dynamics:
+        caches = [modifier.particle_system.point_cache]
+    elif modifier.type == "DYNAMIC_PAINT" and modifier.canvas_settings is not None:
+        surfaces = modifier.canvas_settings.canvas_surfaces
+        caches = [surface.point_cache for surface in surfaces if surface.is_active and surface.is_cache_user]
+    return modifier.show_render and not all(cache.is_baked for cache in caches)
 
 
 def _rendered_in(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
