@@ -348,6 +348,16 @@ def test_physics_that_is_not_baked_and_stretched_time_are_named():
     assert [fault.name for fault in timing_faults(scene)] == ["Furry", scene.name]
 
 
+def test_python_that_was_not_run_is_named(tmp_path):
+    walk(2)
+    bpy.data.objects["Lamp"].driver_add("location", 2).driver.expression = "bpy.data.scenes[0].frame_current"
+    (fault,) = timing_faults(open_blend(saved(tmp_path / "walk.blend")))
+    assert fault.name == bpy.context.scene.name and "frame_current" in fault.said
+    walk(2)
+    saved(tmp_path / "plain.blend")
+    assert not list(timing_faults(open_blend(tmp_path / "plain.blend")))
+
+
 def test_an_object_that_follows_a_keyed_property_of_the_scene_is_named():
     scene = empty_scene()
     variable = box(scene, "Lift", (0, 0, 0), (1, 1, 1)).driver_add("location", 2).driver.variables.new()

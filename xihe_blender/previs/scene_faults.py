@@ -236,6 +236,12 @@ def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
                 "your own renders, and stands still in Xihe Lit. Key that on an object, such as an empty."
             )
             yield Fault(name=item.name, n=1, said=said)
+    if bpy.app.autoexec_fail:
+        said = (
+            f"Python in the file was not run ({bpy.app.autoexec_fail_message}), since nobody said that it is trusted: "
+            "what it moves or lights stays as it was saved. Bake it to keys, or trust the file in Blender and use Run."
+        )
+        yield Fault(name=scene.name, n=1, said=said)
     if scene.render.frame_map_old != scene.render.frame_map_new:
         said = (
             "The scene stretches time: pictures and numbers are right, but Blender plays the keys of the estimated "
