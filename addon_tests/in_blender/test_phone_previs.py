@@ -12,7 +12,7 @@ from tiny_scenes import room_with_a_virtual_sphere
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.settings import load_estimators
 from xihe_blender.previs.simulated_phone import choose_phone, simulate_phone
 from xihe_blender.previs.survey import survey_path
@@ -200,3 +200,20 @@ def test_estimates_that_are_lost_never_light_anything(finished):
         assert all(request.latency_s is None for request in requests.values())
         for name in names:
             assert np.array_equal(session.light(name, entry["time_s"]), session.ambient_sh)
+
+
+def test_a_run_goes_on_where_a_phone_of_the_users_own_was_moved_and_not_where_it_changed(tmp_path):
+    scene = walk(2)
+
+    def made(file):
+        settings = replace(SMALL, phone=str(file))
+        return made_of("a run", scene, tmp_path / "no.blend", settings, plan_previs(scene, settings))
+
+    cheap = tmp_path / "cheap.toml"
+    cheap.write_text('name = "Cheap"\nsummary = "none"\nmetering = "key"\n')
+    before = made(cheap)
+    (tmp_path / "moved").mkdir()
+    moved = cheap.rename(tmp_path / "moved" / "cheap.toml")
+    assert made(moved) == before
+    moved.write_text(moved.read_text().replace("key", "highlights"))
+    assert made(moved) != before

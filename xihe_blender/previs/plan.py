@@ -162,8 +162,8 @@ def made_of(
         "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
         "linked_sha256": contents_sha256(files_read()),
         "scene": scene.name,
-        "settings": asdict(settings),
-        # A file of the user's may have changed since.
+        # A phone of the user's own may have been moved, or its file may have changed.
+        "settings": asdict(settings) | {"phone": Path(settings.phone).stem},
         "phone": asdict(settings.profile),
         "preset": asdict(settings.preset_values),
         "frames": plan.frames,
