@@ -45,6 +45,7 @@ def data_of(page):
 def test_the_page_is_one_file_that_asks_for_nothing(done):
     _, page = done
     assert "default-src 'none'" in page and "Permission is hereby granted" in page
+    assert "connect-src blob:" in page, "three.js fetches the textures of a glTF file from within the page"
     assert not re.search(r'(src|href)="', page) and page.count("<script") == page.count("</script>") == 3
     assert "$" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert "needs WebGL 2" in page and "<noscript><p>This page draws with JavaScript" in page
@@ -54,9 +55,11 @@ def test_frames_have_what_the_phone_saw_and_where_it_was(done):
     folder, page = done
     data, results = data_of(page), read_results(folder)
     outputs = RunOutputs(folder, "")
+    assert data["exposure"] == results.settings.reference_exposure
     assert [frame["frame"] for frame in data["frames"]] == [frame.frame for frame in results.captured_frames]
     for frame in data["frames"]:
         seen = load_frame(outputs.capture(frame["frame"]))
+        np.testing.assert_allclose(np.array(frame["gain"]) * data["exposure"], seen.exposure)
         matrix = np.array(frame["camera"]["matrix"]).reshape(4, 4).T
         np.testing.assert_allclose(matrix[:3, 3], Y_UP @ seen.world_from_camera[:3, 3], atol=1e-5)
         depth_mm = np.frombuffer(zlib.decompress(base64.b64decode(data["depths"][frame["depth"]])), "<u2")

@@ -114,6 +114,21 @@ def test_reflections_are_written_turned_as_the_engine_reads_them(run):
     np.testing.assert_allclose(decoded, true, atol=EXPOSURE * 2 / 128)
 
 
+def test_beside_a_picture_without_its_lamp_the_main_light_is_what_is_sure_of_it(run):
+    key = KEY | {"is_seen": False, "certainty": 0.2}
+    reflected = {"picture": "seen.exr", "seen_share": 0.5, "has_lamp": False}
+    lights = {"Ball": [light_from(1, key=key, reflections=reflected)]}
+    results = content([frame(1, probe())], settings={"light": "sh+key+reflections"}, lights=lights)
+    (run / "results.json").write_text(json.dumps(results))
+    intensity, irradiance = {}, {}
+    for parts in ("sh+key", "sh+key+reflections"):
+        assert export(run, "--to", "openxr", "--light", parts) == 0
+        (light,) = written(run, "openxr")["lights"]
+        intensity[parts], irradiance[parts] = light["mainLight"]["intensity"], light["sh_total"]
+    assert intensity["sh+key+reflections"] == pytest.approx(intensity["sh+key"] / 2)
+    assert irradiance["sh+key+reflections"] == irradiance["sh+key"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -28,6 +28,7 @@ from xihenet.formats import as_spelled, format_names
 from xihenet.light import LightParts
 from xihenet.light.environments import laid_out_as_ours
 from xihenet.light.exports import NamedLight, export_files, scaled
+from xihenet.light.reflections import light_of_rough
 from xihenet.records import ArrayF64, KeyLight, ObjectLight
 from xihenet.walk.surfaces import Surface
 
@@ -79,6 +80,12 @@ def light_of_change(change: LightChange) -> ObjectLight:
         return ObjectLight(sh)
     direction, irradiance = np.array(key.direction, np.float64), np.array(key.irradiance, np.float64)
     return ObjectLight(sh, KeyLight(direction, irradiance, key.angular_radius, key.is_seen, key.certainty))
+
+
+def light_with_reflections(change: LightChange) -> ObjectLight:
+    """As `light_of_change`; beside a picture without the lamp, the sun is what is sure of the key light."""
+    light = light_of_change(change)
+    return light if change.reflections is None or change.reflections.has_lamp else light_of_rough(light)
 
 
 def panorama_of_change(change: LightChange, folder: Path, exposure: float) -> ArrayF64 | None:
@@ -167,6 +174,7 @@ def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[
             if parts == "sh":
                 light = replace(light, key=None)
             if parts.endswith("reflections"):
+                light = light_with_reflections(change)
                 panorama = panorama_of_change(change, folder, gain * results.settings.reference_exposure)
             found.append(NamedLight(name, change.frame, frames[change.frame], scaled(light, gain), panorama))
     return found

@@ -20,7 +20,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.io.run_lights import light_of_change, panorama_of_change
+from xihe_blender.io.run_lights import light_with_reflections, panorama_of_change
 from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.report.document import png_url
 from xihe_blender.report.values import escape
@@ -113,6 +113,7 @@ def viewer_page(
         "pictures": pictures.contents,
         "depths": depths.contents,
         "reflections": reflections.contents,
+        "exposure": results.settings.reference_exposure,
     }
     licence = (_HERE / "three.LICENSE.txt").read_text(encoding="utf-8")
     three = (_HERE / "three.min.js").read_text(encoding="utf-8")
@@ -153,12 +154,14 @@ def _frame(
         file = outputs.folder / compared.pictures["ground_truth"]
         truth = pictures.place(file.read_bytes()) if file.is_file() else None
     coverage, matrix = [probe.coverage for probe in frame.probes], _by_column(TURNED @ seen.world_from_camera)
+    white_balance = np.ones(3) if seen.white_balance is None else seen.white_balance
     return {
         "frame": frame.frame,
         "time_s": frame.time_s,
         "captured": pictures.place(encode_png(seen.srgb_u8)),
         "truth": truth,
         "depth": depths.place(packed),
+        "gain": (seen.exposure / results.settings.reference_exposure * white_balance).tolist(),
         "camera": {"matrix": matrix, "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy},
         "surfaces": _surfaces(results, frame.frame),
         "numbers": [["Sphere seen", format_percent(float(np.mean(coverage)), 2)]] if coverage else [],
@@ -224,9 +227,10 @@ def _methods(results: RunResults, folder: Path, reflections: _Stored) -> list[di
     for name, changes in results.lights.items():
         made[name] = []
         for change in changes:
-            light, panorama = light_of_change(change), panorama_of_change(change, folder, exposure)
+            light, panorama = light_with_reflections(change), panorama_of_change(change, folder, exposure)
             place = None if panorama is None else reflections.place(encode_hdr(laid_out(panorama, "+X")))
-            made[name].append(_light(change.frame, light, place))
+            has_lamp = change.reflections is not None and change.reflections.has_lamp
+            made[name].append(_light(change.frame, light, place, has_lamp=has_lamp))
     listed = [{"name": own, "title": own, "lights": made}]
     for name in ("truth", "ambient", *results.settings.others):
         listed.append({"name": name, "title": TITLES.get(name, name), "lights": _by_object(results, name)})
@@ -255,7 +259,8 @@ def _by_object(results: RunResults, method: str) -> dict[str, list[dict[str, Any
     return lights
 
 
-def _light(frame: int, light: ObjectLight, reflections: int | None) -> dict[str, Any]:
+def _light(frame: int, light: ObjectLight, reflections: int | None, *, has_lamp: bool = False) -> dict[str, Any]:
+    """`has_lamp`: whether the picture that is reflected shows the key light, which then has no highlight beside it."""
     convention, three = convention_of("three"), PLATFORMS["three"]
     main = main_light_for(light, convention)
     return {
@@ -270,4 +275,5 @@ def _light(frame: int, light: ObjectLight, reflections: int | None) -> dict[str,
             "angularRadius": float(np.radians(main.angular_diameter_deg / 2)),
         },
         "reflections": reflections,
+        "hasLamp": has_lamp,
     }

@@ -58,13 +58,14 @@ function fitted(material) {
   return material;
 }
 
+// What the phone has seen, as bright as lights and ground truth are: a phone exposes anew.
 const behind = new THREE.ShaderMaterial({
-  uniforms: { captured: { value: null } },
+  uniforms: { captured: { value: null }, gain: { value: new THREE.Vector3(1, 1, 1) } },
   vertexShader: "varying vec2 at; void main() { at = uv; gl_Position = vec4(position.xy, 0.0, 1.0); }",
-  fragmentShader: `varying vec2 at; uniform sampler2D captured;
+  fragmentShader: `varying vec2 at; uniform sampler2D captured; uniform vec3 gain;
     void main() {
       vec3 c = texture2D(captured, at).rgb;
-      gl_FragColor = vec4(mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)), 1.0);
+      gl_FragColor = vec4(mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)) / gain, 1.0);
     }`,
   depthTest: false, depthWrite: false,
 });
@@ -97,6 +98,13 @@ sun.shadow.radius = 3;
 sun.shadow.bias = -0.0005;
 sun.shadow.normalBias = 0.01;
 scene.add(probe, sun, sun.target);
+// What the phone has seen shines through glass: it is drawn where three.js gathers what is behind that, and nowhere else.
+const through = new THREE.Mesh(new THREE.PlaneGeometry(2, 2), behind.clone());
+through.material.uniforms = behind.uniforms;
+through.frustumCulled = false;
+through.renderOrder = -1;
+through.onBeforeRender = () => (through.material.colorWrite = renderer.getRenderTarget() !== linear);
+scene.add(through);
 const objects = [];
 
 // ------------------------------------------------------------------------------------------------------- what is loaded
@@ -179,11 +187,14 @@ async function loadObjects() {
   for (const one of data.objects) {
     const root = (await loader.parseAsync(bytes(one.glb).buffer, "")).scene;
     root.matrixAutoUpdate = false;
+    const materials = new Set();
     root.traverse((mesh) => {
       if (!mesh.isMesh) return;
       mesh.castShadow = true;
-      for (const material of [mesh.material].flat()) fitted(material);
+      for (const material of [mesh.material].flat()) materials.add(fitted(material));
     });
+    // Lights carry the exposure; what shines by itself does not yet.
+    for (const material of materials) material.emissiveIntensity *= data.exposure;
     // A surface takes from the picture what the key light brings to it, where the object is in its way.
     const floor = new THREE.ShadowMaterial({ depthWrite: false });
     scene.add(root);
@@ -297,6 +308,7 @@ async function draw() {
       all.push([one, light, own]);
     }
     setCamera(frame);
+    behind.uniforms.gain.value.fromArray(frame.gain);
     renderer.setRenderTarget(linear);
     renderer.clear();
     renderer.render(background, flat);
@@ -307,9 +319,9 @@ async function draw() {
         if (light === null) continue;
         if (part === "shadows") surfacesOf(one, frame);
         setSun(light, one);
-        if (part === "shadows" && !sun.visible) continue;
+        if (part === "shadows" && !(sun.visible && one.surfaces.length)) continue;
         probe.sh.fromArray(light.sh);
-        shared.keySpecular.value = light.reflections === null ? 1 : 0;
+        shared.keySpecular.value = light.hasLamp ? 0 : 1;
         for (const [other] of all) {
           other.root.visible = other === one;
           for (const mesh of other.surfaces) mesh.visible = part === "shadows" && other === one && sun.visible;
