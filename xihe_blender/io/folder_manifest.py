@@ -80,7 +80,12 @@ class FolderManifest:
                 raise UserError(
                     f"{self.what} is under way in {self.folder}: wait for its end, or choose another folder for --out"
                 )
-            self.take()
+            try:
+                self.take()
+            except UserError:
+                with contextlib.suppress(OSError):  # Windows keeps what is open.
+                    self.file.with_name(HELD).unlink()
+                raise
             yield
 
     @property
