@@ -16,6 +16,7 @@ from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.store import room_path, save_room
 from xihe_blender.lab.workers import dask_workers
 from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers, own_program
+from xihe_blender.lab.workers.processes import module_command
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
@@ -81,10 +82,9 @@ def test_work_of_a_whole_blender_is_done_by_another_of_it(scheduler, scripts, mo
         "import json, sys; print(1.0); json.dump(json.load(sys.stdin), open(sys.argv[1], 'w'))"
     )
     assert own_program("tells") == ()
-    monkeypatch.setattr(bpy.app, "binary_path", str(blender))
     monkeypatch.syspath_prepend(scripts)
-    assert own_program("tells")[0] == str(blender)
-    assert run(scheduler, Work("tells", "tells", (str(scripts / "told"),), {"seed": 7}, own_program("tells"))) == {}
+    program = tuple(module_command("tells", str(blender)))
+    assert run(scheduler, Work("tells", "tells", (str(scripts / "told"),), {"seed": 7}, program)) == {}
     assert (scripts / "told").read_text() == '{"seed": 7}'
 
 

@@ -117,7 +117,9 @@ def test_a_path_that_sees_no_upward_surface_is_told(scene, out):
     for frame in (1, 2, 3):
         look_away(scene.camera, frame)
     scene.camera.data.angle = np.radians(20)
-    with pytest.raises(UserError, match="nowhere to put an object: no frame of the path shows an upward surface"):
+    with pytest.raises(
+        UserError, match="there is no place for an object: no frame of the path shows an upward surface"
+    ):
         mapped(scene, out)
     assert not (out / "placement.json").exists()
 

@@ -226,7 +226,7 @@ def test_an_object_that_was_moved_is_exported_with_the_light_of_its_new_place(do
         ((), "give either RESULTS.json or --from"),
         (("--from", "nowhere.blend"), "nowhere.blend"),
         (("--from", "LIT", "--objects", "Nobody"), "has no lit virtual object 'Nobody'; it has B"),
-        (("--from", "LIT", "--light", "sh"), "leave out --light"),
+        (("--from", "LIT", "--light", "sh"), "--light does not apply to a file: leave it out"),
     ],
 )
 def test_what_a_file_does_not_have_is_one_line(done, tmp_path, arguments, words):

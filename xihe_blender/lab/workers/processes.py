@@ -26,14 +26,16 @@ def is_whole_blender() -> bool:
     return bool(bpy.app.binary_path)
 
 
-def module_command(module: str) -> list[str]:
+def module_command(module: str, blender: str | None = None) -> list[str]:
     """The start of a command line that runs `module`; its arguments follow. Exit code and streams are the module's.
 
-    A whole Blender says a line or two of its own on stdout before, and Blender's settings are the factory's.
+    `blender` is the program of a whole Blender, by default this one if it is one. It says a line or two of its own on
+    stdout before, and its settings are the factory's.
     """
-    if not is_whole_blender():
+    blender = bpy.app.binary_path if blender is None else blender
+    if not blender:
         return [sys.executable, "-m", module]
-    start = [bpy.app.binary_path, "--background", "--factory-startup", "--python", str(Path(__file__).resolve())]
+    start = [blender, "--background", "--factory-startup", "--python", str(Path(__file__).resolve())]
     return [*start, "--", json.dumps(sys.path), module]
 
 
