@@ -37,7 +37,7 @@ from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.scene_faults import faults_at_frame, layer_faults, timing_faults, unseen_faults
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.blend_file import open_blend, save_copy
+from xihe_blender.scene.blend_file import modifier_input, open_blend, save_copy
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.phone_capture import CAPTURE
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
@@ -264,7 +264,8 @@ def given_to_nodes(item, kind, value):
     node = tree.nodes.new("GeometryNodeImportSTL")
     tree.links.new(tree.nodes.new("NodeGroupInput").outputs[0], node.inputs["Path"])
     modifier = item.modifiers.new("Import", "NODES")
-    modifier.node_group, modifier[given.identifier] = tree, value
+    modifier.node_group = tree
+    modifier_input(modifier, given.identifier)[1](value)
     return modifier, given.identifier
 
 
@@ -387,7 +388,7 @@ def test_a_copy_in_another_folder_reads_the_same_files(tmp_path):
     copy = tmp_path / "runs" / "walk.blend"
     save_copy(scene, copy)
     assert scene.objects["Flag"].modifiers["Nodes"].bake_directory == "//moves"
-    assert scene.objects["Flag"].modifiers["Import"][given] == "//given.stl"
+    assert modifier_input(scene.objects["Flag"].modifiers["Import"], given)[0] == "//given.stl"
     opened(copy)
     elsewhere = {str(tmp_path / name) for name in ("hair/*.bphys", "moves/**/*", "flag.stl", "given.stl")}
     assert set(files_read()) == {*elsewhere, str(copy.parent / "blendcache_walk" / "*.bphys")}

@@ -109,10 +109,19 @@ def paths_of_modifiers(item: bpy.types.Object) -> Iterator[NodePath]:
     for modifier in item.modifiers:
         tree = modifier.node_group if modifier.type == "NODES" else None
         for socket in tree.interface.items_tree if tree is not None else ():
-            value = modifier.get(socket.identifier) if socket.item_type == "SOCKET" else None
-            if isinstance(value, str):
-                is_whole = socket.subtype == "FILE_PATH"
-                yield from _path(value, is_whole, partial(operator.setitem, modifier, socket.identifier))
+            if socket.item_type == "SOCKET":
+                value, put = modifier_input(modifier, socket.identifier)
+                if isinstance(value, str):
+                    yield from _path(value, socket.subtype == "FILE_PATH", put)
+
+
+def modifier_input(modifier: bpy.types.NodesModifier, identifier: str) -> tuple[Any, Callable[[Any], None]]:
+    """What a modifier gives to an input of its geometry nodes, None if it has no value, and how to give another."""
+    inputs = getattr(getattr(modifier, "properties", None), "inputs", None)
+    if inputs is not None:  # Blender 5.2
+        given = getattr(inputs, identifier, None)
+        return getattr(given, "value", None), partial(setattr, given, "value")
+    return modifier.get(identifier), partial(operator.setitem, modifier, identifier)
 
 
 def _path(text: str, is_whole: bool, put: Callable[[str], None]) -> Iterator[NodePath]:
