@@ -339,6 +339,7 @@ def test_other_wrong_requests(server):
 
 def test_health_metrics_page_and_openapi_are_there(server):
     assert server.ask("GET", "/health")[1]["estimator"] == "lattice"
+    server.light(*server.opened(n_anchors=N), encode_cloud(cloud_of(1), "float32_stripped"))
     status, text, _ = server.ask("GET", "/metrics")
     assert status == 200 and "xihe_connections 1" in text and 'stage="inference"' in text
     assert "<html" in server.ask("GET", "/")[1]
