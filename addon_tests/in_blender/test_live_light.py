@@ -43,6 +43,13 @@ def test_nothing_happens_while_objects_are_where_the_run_saw_them(scene):
     assert all(np.array_equal(light, before[frame]) for frame, light in keyed(bpy.data.worlds["Xihe Ball"])[0].items())
 
 
+def test_an_object_is_moved_by_a_centimetre_and_not_by_what_versions_of_blender_differ_in(scene):
+    for nudge, moved in ((0.001, set()), (0.009, {"Ball"}), (-0.009, set())):
+        bpy.data.objects["Ball"].location.x += nudge
+        bpy.context.view_layer.update()
+        assert misplaced(scene).keys() == moved
+
+
 def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(scene, lit_run):
     ball, world = bpy.data.objects["Ball"], bpy.data.worlds["Xihe Ball"]
     ball.location.x += 0.4
