@@ -407,7 +407,10 @@ POLYCAM = {
     ),
     "no depth": (gone("keyframes/depth"), "no camera has colour and depth"),
     "no pictures": (gone("keyframes/corrected_images"), "no camera has colour and depth"),
-    "no cameras": (gone("keyframes"), "Make what others wrote a plain folder: camera.json, colour/, depth/ and poses/"),
+    "no cameras": (
+        gone("keyframes"),
+        "Convert other recordings to a plain folder: camera.json, colour/, depth/ and poses/",
+    ),
     "names that are no times": (put("keyframes/corrected_cameras/thumb.json", "{}"), NOTE + "Times are not known"),
     "a name of many digits": (put(f"keyframes/corrected_cameras/{'9' * 99}.json", "{}"), NOTE + "Times are not known"),
 }
@@ -526,7 +529,7 @@ SEVEN_SCENES = {
     "a pose is missing": (remove(POSE), READ),
     "JPEGs, as 3RScan has them": (
         lambda path: [one.rename(one.with_suffix(".jpg")) for one in path.glob("*.color.png")],
-        ".depth.png, beside it: copy all files, or make a recording in another form a plain folder",
+        ".depth.png, beside it: copy all files, or convert the recording to a plain folder",
     ),
 }
 

@@ -90,7 +90,7 @@ def test_how_often_is_answered_where_the_ambient_light_is_best():
 def test_a_rule_without_thresholds_says_what_every_frame_gives_and_how_to_hear_of_others():
     (own,) = (one for one in trial().thetas if one.factor == 1)
     words = answers.how_often([trial(thetas=(own,))])
-    assert "an estimate in every frame is 30 times a minute" in words and "Leave --trigger out" in words
+    assert "an estimate in every frame is 30 times a minute" in words and "Leave out --trigger" in words
 
 
 def test_the_page_says_how_it_was_made(tmp_path):

@@ -121,7 +121,8 @@ BACKEND = "estimate by the edge service at this address, such as http://127.0.0.
 BETWEEN = "light in use until the next estimate: carried, as the light in view changes (default), or kept as estimated"
 TRIGGER = (
     "when light is estimated again: split, when surfaces change colour or new ones come into view; light, when the "
-    "light of all that is known differs; reference, by the paper's rule; every-frame, unless nothing has changed"
+    "light of all that is known differs by a fifth; reference, by the paper's rule; every-frame, unless nothing has "
+    "changed"
 )
 EFFECT = "simulate an effect or leave it out, whatever the scene needs; may be repeated, is not saved"
 ESTIMATORS = one_of(estimators.names())

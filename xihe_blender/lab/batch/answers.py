@@ -284,7 +284,7 @@ def how_often(trials: Sequence[Trial]) -> str:
     if len(points) == 1:
         return (
             f"With {code(best)}, an estimate in every frame is {_rate(own)} per position in view, for an error of "
-            f"{own_error}. Leave --trigger out to hear of others."
+            f"{own_error}. Leave out --trigger to see what fewer would cost."
         )
     limit = f"within {format_number(100 * AS_GOOD, 1)} % of that"
     if least.factor == 0:

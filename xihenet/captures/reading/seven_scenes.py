@@ -49,7 +49,7 @@ def read(folder: Path, up: str | None) -> Capture:
     if not frames:
         raise ValueError(
             f"{folder}: no pose has both pictures, {stem}.color.png and {stem}.depth.png, beside it: copy all files, "
-            "or make a recording in another form a plain folder, as docs/captures.md says"
+            "or convert the recording to a plain folder, as docs/captures.md says"
         )
     notes = ["Depth is not registered to colour."]
     if n_without:
