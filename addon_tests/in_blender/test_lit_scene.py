@@ -24,17 +24,20 @@ from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, RUN_BESIDE, has_anyth
 from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.lit_scene import (
     CapturedFrames,
+    bring_lamps,
     hide_behind_room,
     put_over_frames,
     remove_lit_scene,
     set_up_lit_scene,
+    show_room_anew,
 )
+from xihe_blender.apply.reflection_pictures import light_called_for
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.light_transport.overrides import remembered_overrides
-from xihe_blender.scene.virtual_objects import virtual_collection
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.io.frame_files import FrameCamera
 from xihenet.light.key_light import rest_of
 from xihenet.records import Intrinsics
@@ -68,7 +71,7 @@ def ran(tmp_path_factory):
     return Ran(out, results, before)
 
 
-@pytest.mark.parametrize("name", ["Room lamp", "Room", "Xihe Lit Room", "Xihe Phone"])
+@pytest.mark.parametrize("name", ["Room lamp", "Roomba", "Room", "Xihe Lit Room", "Xihe Phone"])
 def test_a_virtual_object_called_as_what_stands_for_the_room_stays_when_the_scene_goes(name):
     scene = room_with_a_virtual_sphere()
     ball = next(iter(virtual_collection(scene).objects))
@@ -78,8 +81,24 @@ def test_a_virtual_object_called_as_what_stands_for_the_room_stays_when_the_scen
         lit[ROOM] = scene
         set_up_lit_scene(lit, [ball], {"Ball": (ball.name, bpy.data.worlds[0])})
         hide_behind_room(lit, scene, [ball])
-        assert "Xihe Lit Table" in lit.objects
+        show_room_anew(lit, scene, [ball])
+        assert "Xihe Lit Table" in lit.objects and ball in set(lit.objects)
         remove_lit_scene()
+
+
+def test_a_virtual_object_called_as_what_keeps_added_lamps_is_shown_beside_them():
+    scene = room_with_a_virtual_sphere()
+    ball = next(iter(virtual_collection(scene).objects))
+    ball.name = "Lamps"
+    for _ in range(2):
+        lit = bpy.data.scenes.new(LIT_SCENE)
+        lit[ROOM] = scene
+        set_up_lit_scene(lit, [ball], {"Ball": (ball.name, bpy.data.worlds[0])})
+        bring_lamps(lit)
+        lamp = lit.objects.get("Fill") or added_lamp(lit)
+        assert ball in set(lit.objects)
+        remove_lit_scene()
+    assert lamp == bpy.data.objects["Fill"] and "Fill.001" not in bpy.data.objects
 
 
 def test_no_line_of_the_room_is_drawn_over_the_captured_frame():
@@ -194,6 +213,8 @@ TOLD = {
     "theta above noise": {"trigger": vars(RULES["split"]) | {"theta": 0.02}},
     "effects": {"effect_choices": {"motion blur": "on"}},
     "an estimator that is not installed": {"estimator": "theirs", "preset": "accurate"},
+    "others that the panel does not list": {"others": ("projection", "theirs", "truth")},
+    "uneven frames": {"frames": (1, 2, 4)},
 }
 
 
@@ -217,6 +238,12 @@ def test_the_panel_of_the_lit_file_has_the_runs_settings(ran, tmp_path, told):
     wanted |= {"exposure": None if run.metering else 2.5, "size": run.size}
     if run.estimator == "theirs":
         wanted["estimator"] = "lattice"
+    if "theirs" in run.others:
+        wanted["others"] = ("projection",)
+    if run.light == light_called_for(virtual_objects(scene)):
+        wanted["light"] = "auto"
+    if told == "uneven frames":
+        wanted["frames"] = tuple(range(1, N_FRAMES + 1))
     assert chosen == wanted
 
 
@@ -500,6 +527,14 @@ def test_it_is_saved_with_the_file_and_shown_again_in_place_of_itself(ran, shown
     show_lit(bpy.data.scenes["Scene"], ran.out)
     assert sorted(scene.name for scene in bpy.data.scenes) == ["Scene", LIT_SCENE]
     assert len([image for image in bpy.data.images if image.name.startswith(LIT_SCENE)]) == 1
+
+
+def test_it_is_made_anew_where_the_pictures_behind_it_are_gone(ran, shown):
+    def behind(lit):
+        return lit.camera.data.background_images[0].image
+
+    behind(shown).filepath = "//gone/frame_0001.png"
+    assert Path(bpy.path.abspath(behind(show_lit(bpy.data.scenes["Scene"], ran.out)).filepath)).is_file()
 
 
 def added_lamp(lit):

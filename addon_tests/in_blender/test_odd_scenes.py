@@ -277,6 +277,7 @@ def test_what_geometry_nodes_are_given_and_all_kinds_of_baked_physics_are_read(t
     given_to_nodes(table, "NONE", "//cup_")
     given_to_nodes(table, "NONE", "//cups/")
     given_to_nodes(table, "NONE", "no path")
+    given_to_nodes(table, "NONE", "/")
     bpy.ops.rigidbody.world_add()
     bodies = scene.rigidbody_world.point_cache
     bodies.filepath, bodies.use_external = "//bodies", True

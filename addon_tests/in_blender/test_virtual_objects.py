@@ -130,6 +130,10 @@ def test_other_scenes_and_view_layers_show_what_they_showed_before():
     assert [vase.name in layer.objects for layer in shown] == seen == [True, False, True]
     make_room(scene, [vase])
     assert memberships() == before and not list(vase.keys())
+    make_virtual(scene, [vase])
+    other.collection.objects.unlink(vase)  # As the user may have done meanwhile.
+    make_room(scene, [vase])
+    assert memberships() == before and not list(vase.keys())
 
 
 def test_an_object_goes_back_into_the_collections_that_it_was_in_where_they_are_still_there():

@@ -101,7 +101,7 @@ def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
     """Show `lit` in the window, and rendered through its camera in the 3D view that asked."""
     lit[LAYER_BEFORE], active = context.window.view_layer.name, context.view_layer.objects.active
     context.window.scene = lit
-    layer = next(layer for layer in lit.view_layers if layer.world_override == lit.world)
+    layer = next((one for one in lit.view_layers if one.world_override == lit.world), lit.view_layers[0])
     context.window.view_layer = layer
     if active is not None and active.mode == "OBJECT" and active in set(layer.objects):
         layer.objects.active = active

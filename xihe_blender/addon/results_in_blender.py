@@ -38,6 +38,7 @@ from xihe_blender.apply.keys import clear_keys, hold_keys
 from xihe_blender.apply.lit_scene import (
     CapturedFrames,
     has_compositor,
+    has_its_frames,
     hide_behind_room,
     is_of_run,
     is_over_frames,
@@ -126,7 +127,7 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
         raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
     objects, worlds, lit = virtual_objects(scene), applied_worlds(scene), lit_scene()
     shown = [item for item in objects if item.name in worlds]
-    is_kept = lit is not None and is_of_run(lit, scene, folder.name, shown)
+    is_kept = lit is not None and is_of_run(lit, scene, folder.name, shown) and has_its_frames(lit)
     if lit is not None and is_kept:
         show_room_anew(lit, scene, objects)
     else:

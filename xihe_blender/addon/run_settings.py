@@ -14,9 +14,10 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon.background_run import COMMAND
-from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING
+from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING, other_estimator_items
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.addon.results_in_blender import show_results
+from xihe_blender.apply.reflection_pictures import light_called_for
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults
@@ -26,6 +27,7 @@ from xihe_blender.previs.plan import captured_size, planned_frames
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings, settings_of
+from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.effects import Effect
 from xihenet.phone import load_profile, profile_names
@@ -77,19 +79,22 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
 def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
     """Have the panel choose for `scene` what `run`, made of it, was told, from wherever it was started.
 
-    Not what the panel has no choice for: samples, a noise target, some of the objects. An estimator that is not
+    Not what the panel has no choice for: samples, a noise target, some of the objects, frames at uneven
+    steps. An estimator that is not
     installed here is left out. UserError where the scene has no frames.
     """
     made, frames = run.settings, list(run.settings.frames)
+    step = frames[1] - frames[0] if len(frames) > 1 else 1
+    is_range = frames == list(range(frames[0], frames[-1] + 1, step))
     is_known = made.phone in profile_names()
     is_phones = made.metering is None or (is_known and made.metering == load_profile(made.phone).metering)
     is_each = made.trigger["policy"] == "split" and made.trigger["theta"] == RULES["every-frame"].theta
     choices = {
         "estimator": made.estimator,
-        "others": set(made.others),
+        "others": set(made.others) & {item[0] for item in other_estimator_items(None, None)},
         "preset": made.preset,
         "target": made.target,
-        "light": made.light,
+        "light": "auto" if made.light == light_called_for(virtual_objects(scene)) else made.light,
         "uses_edge_server": made.backend is not None,
         "edge_server": made.backend or scene.xihe.edge_server,
         "captures_path": made.captured == "path",
@@ -97,10 +102,10 @@ def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
         "phone": made.phone if is_known else FROM_FILE,
         "phone_file": "" if is_known else made.phone,
         "network": made.network or NO_NETWORK,
-        "use_own_frames": frames != planned_frames(scene, None),
+        "use_own_frames": is_range and frames != planned_frames(scene, None),
         "frame_start": frames[0],
         "frame_end": frames[-1],
-        "frame_step": frames[1] - frames[0] if len(frames) > 1 else 1,
+        "frame_step": step,
         "use_own_size": made.size != captured_size(scene, PrevisSettings()),
         "size": made.size,
         "use_own_exposure": made.metering is None,

@@ -43,7 +43,7 @@ ROOM_COPY = "xihe_room_copy"
 SHOWN = "xihe_shown"
 """Custom property of a collection of the scene: the virtual object that it was made for."""
 
-ADDED = f"{LIT_SCENE} Lamps"
+ADDED = "Xihe Added Lamps"
 """Collection of the lamps and cameras that the user added to `Xihe Lit`, while there is no such scene, and after."""
 
 _OF_LIT = ("LIGHT", "CAMERA")
@@ -146,6 +146,7 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
     """
     tidied: dict[bpy.types.ID, bpy.types.ID] = {}
     holder, has_catchers = bpy.data.collections.new(f"{LIT_SCENE} Room"), bool(shadow_catchers(lit))
+    holder[ROOM_COPY] = True
     simulated = bpy.data.collections.new(f"{LIT_SCENE} Simulated")
     for item in dict.fromkeys(_seen_in_scene(room)):
         if SCAN in item and has_catchers:  # It is a catcher there, which would catch no shadow behind a copy.
@@ -399,13 +400,16 @@ def remove_lit_scene() -> None:
             if window.scene == lit and room is not None:
                 window.scene = room
     remove_shadow_catchers(shadow_catchers(lit))
-    own: set[bpy.types.ID | None] = {getattr(lit, "compositing_node_group", None), *_room_copies(lit)}
+    own: set[bpy.types.ID | None] = {*_room_copies(lit)}
+    tree = getattr(lit, "compositing_node_group", None)  # It may be one of the user's.
     for camera in _phones(lit):
         own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
         actions = [owner.animation_data.action for owner in (camera, camera.data) if owner.animation_data is not None]
         own |= {action for action in actions if action is not None and action.name.startswith(PHONE)}
     remove_copied_scene(lit)
     remove_lit_collections()
+    if tree is not None and not tree.users:
+        own.add(tree)
     # At once: with its data an object goes too.
     bpy.data.batch_remove(own - {None})
 
@@ -425,10 +429,16 @@ def is_of_run(lit: bpy.types.Scene, room: bpy.types.Scene, run: str, objects: It
 def show_room_anew(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> None:
     """Have `lit` hidden by the room, and at the frame, as they are now; all else in it stays as the user left it."""
     bpy.data.batch_remove(_room_copies(lit))
-    for holder in [child for child in lit.collection.children if child.name.startswith(f"{LIT_SCENE} Room")]:
+    for holder in [child for child in lit.collection.children if ROOM_COPY in child]:
         bpy.data.collections.remove(holder)
     hide_behind_room(lit, room, objects)
     lit.frame_set(room.frame_current)
+
+
+def has_its_frames(lit: bpy.types.Scene) -> bool:
+    """Whether no picture behind its cameras is gone: they may be of another session, or have been moved."""
+    behind = [one.image for camera in _phones(lit) for one in camera.data.background_images]
+    return all(Path(bpy.path.abspath(image.filepath)).is_file() for image in behind if image is not None)
 
 
 def is_over_frames(lit: bpy.types.Scene) -> bool:

@@ -125,7 +125,8 @@ def modifier_input(modifier: bpy.types.NodesModifier, identifier: str) -> tuple[
 
 
 def _path(text: str, is_whole: bool, put: Callable[[str], None]) -> Iterator[NodePath]:
-    if text.startswith("//") or Path(text).is_absolute():
+    is_absolute = Path(text).is_absolute() and len(Path(text).parts) > 1  # "/" alone is what nodes join words with.
+    if text.startswith("//") or is_absolute:
         yield NodePath(text, is_whole, put)
 
 

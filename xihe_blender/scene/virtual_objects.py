@@ -123,7 +123,8 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
         if item.library is None:
             item.pop(HOMES, None)
             for other in map(bpy.data.scenes.get, json.loads(item.pop(LENT, "[]"))):
-                if other is not None and any(item in set(c.objects) for c in other.collection.children_recursive):
+                own = set() if other is None else set(other.collection.objects)
+                if item in own and any(item in set(c.objects) for c in other.collection.children_recursive):
                     other.collection.objects.unlink(item)
         for home in virtual & set(item.users_collection):
             home.objects.unlink(item)

@@ -32,8 +32,8 @@ def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor
     if inside := _recordings_in(path):
         raise ValueError(f"{path} holds no recording itself: give {' or '.join(map(str, inside))}, which is one")
     raise ValueError(
-        f"{path} holds no recording that is known: expected one of {', '.join(READERS)}. Convert other recordings to a  "
-        "plain folder: camera.json, colour/, depth/ and poses/, as docs/captures.md says"
+        f"{path} holds no recording that is known: expected one of {', '.join(READERS)}. Convert other recordings to "
+        "a plain folder: camera.json, colour/, depth/ and poses/, as docs/captures.md says"
     )
 
 
