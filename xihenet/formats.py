@@ -26,12 +26,15 @@ def format_number(value: float | None, digits: int = 3) -> str:
     # Of the rounded value: 0.09996 is 0.100.
     exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
     if not -5 < exponent < 7:
-        return _with_minus(f"{value:.{digits - 1}e}")
-    return _with_minus(f"{value:,.{max(0, digits - 1 - exponent)}f}")
+        return with_minus(f"{value:.{digits - 1}e}")
+    return with_minus(f"{value:,.{max(0, digits - 1 - exponent)}f}")
 
 
-def _with_minus(number: str) -> str:
-    return MINUS + number[1:] if number.startswith("-") else number
+def with_minus(number: str) -> str:
+    """A number as Python writes it, with a true minus, and none before 0."""
+    digits = number.removeprefix("-")
+    is_zero = not any(digit in "123456789" for digit in digits)
+    return digits if is_zero or digits == number else MINUS + digits
 
 
 def format_signed(value: float | None) -> str:
@@ -52,12 +55,12 @@ def format_percent(share: float | None, digits: int | None = None) -> str:
         return DASH
     if digits is not None:
         return format_quantity(100 * share, "%", digits)
-    return _with_minus(f"{100 * share:.{0 if abs(share) >= 0.0995 or share == 0 else 1}f} %")
+    return with_minus(f"{100 * share:.{0 if abs(share) >= 0.0995 or share == 0 else 1}f} %")
 
 
 def format_position(position_m: Sequence[float]) -> str:
     """In metres, by the centimetre: "0.50, 1.20, 0.80"."""
-    return ", ".join(_with_minus(f"{metres:.2f}") for metres in position_m)
+    return ", ".join(with_minus(f"{metres:.2f}") for metres in position_m)
 
 
 def format_share(share: float) -> str:

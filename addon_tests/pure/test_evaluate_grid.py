@@ -80,6 +80,7 @@ def test_the_same_scene_twice_is_one_unit_and_another_of_its_name_is_not(tmp_pat
     files[1].write_bytes(files[0].read_bytes())
     copies, _ = planned_units(files, (0,))
     assert [unit.scene for unit in copies] == files  # What they read beside them may differ.
+    assert planned_units(files[:1], (0,))[0] == copies[:1]  # A copy that is added leaves what is done.
 
 
 def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):

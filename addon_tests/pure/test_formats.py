@@ -36,6 +36,7 @@ def test_numbers_keep_their_value_when_they_become_text():
     assert format_percent(0.31) == "31 %" and format_percent(0.004) == "0.4 %"
     assert format_percent(-0.31) == "\N{MINUS SIGN}31 %" and format_percent(-0.31, 1) == "\N{MINUS SIGN}31 %"
     assert format_position((0.5, -1.204, 2)) == "0.50, \N{MINUS SIGN}1.20, 2.00"
+    assert format_position((-0.001, 0, -0.0)) == "0.00, 0.00, 0.00" and format_percent(-0.0004) == "0.0 %"
     assert format_runs([1, 2, 4, 5, 6, 9]) == "1, 2, 4\N{EN DASH}6, 9"
 
 

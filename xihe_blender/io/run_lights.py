@@ -173,7 +173,7 @@ def lights_asked(results: RunResults, folder: Path, asked: LightsAsked) -> list[
             light, panorama = light_of_change(change), None
             if parts == "sh":
                 light = replace(light, key=None)
-            if parts.endswith("reflections"):
+            elif parts.endswith("reflections"):
                 light = light_with_reflections(change)
                 panorama = panorama_of_change(change, folder, gain * results.settings.reference_exposure)
             found.append(NamedLight(name, change.frame, frames[change.frame], scaled(light, gain), panorama))

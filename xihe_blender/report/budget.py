@@ -8,7 +8,7 @@ from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, Obj
 from xihe_blender.report.document import document, table, write_document
 from xihe_blender.report.values import escape
 from xihenet import svg
-from xihenet.formats import MINUS, format_count, format_frames, format_number, format_percent
+from xihenet.formats import format_count, format_frames, format_number, format_percent, with_minus
 
 ROW_PX, BAR_PX = 42, 16
 _HOW = (
@@ -69,8 +69,7 @@ def _axis(low: float, high: float) -> svg.Axis:
 
 
 def _number(value: float, form: str) -> str:
-    """Without a minus before 0."""
-    return f"{round(value, 1) + 0.0:{form}}".replace("-", MINUS)
+    return with_minus(f"{round(value, 1):{form}}")
 
 
 def _bar(axis: svg.Axis, top: int, item: ObjectBudget, part: BudgetPart) -> str:

@@ -25,7 +25,7 @@ from xihenet.edge.client import EdgeBackend
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.protocol import DEFAULT_METHOD
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame, UnitSphereCloud
-from xihenet.trigger import TriggerSettings
+from xihenet.trigger import RULES
 
 BATCHES, SIZES, POSITIONS = (1, 2, 4, 8, 16), (512, 1280, 2048), (1, 2, 4)
 PAPER_MS = {512: (0.23, 0.01, 3.99), 1280: (0.30, 0.01, 5.91), 2048: (0.32, 0.01, 10.80)}
@@ -93,7 +93,7 @@ def step_times_ms(port: int, server_ms: Callable[[], float], n_positions: int, n
     NaN for the network with several positions: their requests are under way together, so times do not
     add up. `port` and `server_ms` are those of `served`. Every frame asks for the light of every position.
     """
-    eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0), codec=DEFAULT_METHOD)
+    eager = ControllerSettings(RULES["every-frame"], codec=DEFAULT_METHOD)
     rows, network, whole = [], [], []
     with contextlib.closing(EdgeBackend(f"http://127.0.0.1:{port}")) as backend:
         session = XiheController(backend, eager)

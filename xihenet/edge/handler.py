@@ -143,7 +143,7 @@ class Handler:
             if name.startswith("Xihe-") and name not in protocol.OUR_HEADERS:
                 raise Refused(400, f"{name[:80]}: there is no such header; there are {', '.join(protocol.OUR_HEADERS)}")
         if self.queries is not None:
-            for name in self._query().keys() - set(self.queries):
+            for name in self._query.keys() - set(self.queries):
                 there_are = ", ".join(self.queries) or "none here"
                 raise Refused(400, f"{name[:80]!r}: the query has no such name; there are {there_are}")
 
@@ -216,8 +216,9 @@ class Handler:
 
     def query(self, name: str, default: str) -> str:
         """What the query says of `name`."""
-        return self._query().get(name, [default])[-1]
+        return self._query.get(name, [default])[-1]
 
+    @functools.cached_property
     def _query(self) -> Mapping[str, Sequence[str]]:
         return parse_qs(self.request.query, keep_blank_values=True) if self.request.query else {}
 

@@ -275,17 +275,19 @@ def how_often(trials: Sequence[Trial]) -> str:
     points = trigger_points(trials, best) if best is not None else []
     if not points:
         return "No estimator that looks at the room was tried on a path that sees an object."
-    always, own, least = points[0], next(point for point in points if point.factor == 1), laziest_as_good(points)
-    own_error, least_error = format_number(own.error), format_number(least.error)
-    words = (
-        f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of {own_error}; "
-        f"an estimate in every frame is {_rate(always)}, for {format_number(always.error)}. "
-    )
-    if len(points) == 1:
+    own = next(point for point in points if point.factor == 1)
+    own_error = format_number(own.error)
+    if len(points) == 1:  # A rule without a threshold to scale.
         return (
             f"With {code(best)}, an estimate in every frame is {_rate(own)} per position in view, for an error of "
             f"{own_error}. Leave out --trigger to see what fewer would cost."
         )
+    always, least = points[0], laziest_as_good(points)
+    least_error = format_number(least.error)
+    words = (
+        f"With {code(best)}, the trigger as it is asks {_rate(own)} per position in view, for an error of {own_error}; "
+        f"an estimate in every frame is {_rate(always)}, for {format_number(always.error)}. "
+    )
     limit = f"within {format_number(100 * AS_GOOD, 1)} % of that"
     if least.factor == 0:
         return words + f"No lazier trigger stays {limit}."

@@ -46,17 +46,16 @@ def evaluate_batch(
     manifest.check()
     units, failed = planned_units(scenes, seeds)
     missing = [unit for unit in units if kept.result(unit) is None]
-    with contextlib.ExitStack() as held:
-        if missing:
-            with open_dask_workers(None if n_workers is None else min(n_workers, len(missing)), scheduler) as workers:
-                held.enter_context(manifest.held())
-                workers.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
-                yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(workers)}")
-                yield from workers.run(_work(kept, settings, missing), "unit")
-                names = {unit.name: f"{unit.scene} (seed {unit.seed})" for unit in units}
-                failed |= {names[name]: reason for name, reason in workers.failed.items()}
-        else:
-            held.enter_context(manifest.held())
+    n_needed = None if n_workers is None else min(n_workers, len(missing))
+    with contextlib.ExitStack() as stack:
+        workers = stack.enter_context(open_dask_workers(n_needed, scheduler)) if missing else None
+        stack.enter_context(manifest.held())
+        if workers is not None:
+            workers.check_workers(str(kept.path), sorted({str(unit.scene) for unit in missing}))
+            yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(workers)}")
+            yield from workers.run(_work(kept, settings, missing), "unit")
+            names = {unit.name: f"{unit.scene} (seed {unit.seed})" for unit in units}
+            failed |= {names[name]: reason for name, reason in workers.failed.items()}
         results = batch_results(kept, settings, units, failed)
         kept.write_tables(results)
         write_document(kept.path / "report.html", report_page(kept, results, measured))

@@ -97,10 +97,11 @@ def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Un
         except OSError as error:
             broken[str(scene)] = error.strerror or str(error)
     for scene, content in contents.items():
-        # A copy of it beside other pictures may show another room: then with as many folders as tell them apart, which
-        # stay what they are where all is moved.
+        # A copy of it beside other pictures may show another room. The first keeps its name when copies are added, and
+        # the others have as many folders in theirs as tell them apart, which stay what they are where all is moved.
         copies = [other for other in contents if (other.name, contents[other]) == (scene.name, content)]
-        digest = hashlib.sha256(content + os.fsencode(short_names(copies)[scene])).hexdigest()
+        apart = "" if scene == copies[0] else short_names(copies)[scene]
+        digest = hashlib.sha256(content + os.fsencode(apart)).hexdigest()
         units += [Unit(scene, seed, digest) for seed in seeds]
     return units, broken
 

@@ -152,9 +152,7 @@ class Session:
     """A phone that came along the walk and is now at the place of `frame`, which it has not captured yet."""
 
     def __init__(self, study: RenderStudy, walk: Walk, frame: int, estimator: str, light: LightParts = "sh") -> None:
-        settings = PrevisSettings(
-            seed=study.settings.seed, light=light, trigger=replace(PREVIS_TRIGGER, theta=0.0, coverage_theta=0.0)
-        )
+        settings = PrevisSettings(seed=study.settings.seed, light=light, trigger=PREVIS_TRIGGER.scaled(0))
         self.plan = study.plan
         of_choice = estimators.load(estimator, settings.n_anchors, settings.target)
         self.chain = PhoneSession(study.plan.probes, settings.chain(walk.exposure), of_choice, None, seed=settings.seed)

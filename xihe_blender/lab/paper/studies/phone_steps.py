@@ -12,7 +12,7 @@ from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.edge.bench import seen_frame
 from xihenet.records import ArrayF64
-from xihenet.trigger import TriggerSettings
+from xihenet.trigger import RULES
 
 PAPER_MS = {"unproject": 0.221, "sample": 0.063, "merge": 0.029 + 0.062, "trigger": 3.040, "encode": 2.832}
 WHOLE = "the five steps together"
@@ -25,7 +25,7 @@ SHARE = (
 
 def stage_times_ms(n_frames: int) -> dict[str, ArrayF64]:
     """(F,) milliseconds of each step and of all, every frame asking for an estimate."""
-    eager = ControllerSettings(TriggerSettings(theta=0.0, coverage_theta=0.0))
+    eager = ControllerSettings(RULES["every-frame"])
     controller = XiheController(LocalBackend(estimators.load("projection")), eager)
     controller.add_position("place", (0.0, 0.5, -0.5))
     reports = [controller.step(seen_frame(k), active=["place"])["place"] for k in range(n_frames + 1)][1:]
