@@ -25,6 +25,7 @@ from tiny_scenes import (
 )
 
 from xihe_blender.capture import render
+from xihe_blender.capture.cycles_device import DEVICE_VARIABLE
 from xihe_blender.capture.render import RenderSettings, render_scene, working_scene
 from xihe_blender.capture.scanner import METERING_SAMPLES, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
@@ -202,6 +203,25 @@ def test_a_lamp_that_is_off_at_first_does_not_blow_out_the_rest():
     assert always < meter_exposure(scene, [1, 2, 3]) < 15 * always
 
 
+@pytest.mark.parametrize(("chosen", "device"), [("cpu", "CPU"), ("", "GPU")])
+def test_the_environment_says_what_is_rendered_on_or_else_the_users_scene(monkeypatch, chosen, device):
+    scene = empty_scene()
+    scene.cycles.device = "GPU"
+    monkeypatch.setenv(DEVICE_VARIABLE, chosen)
+    with working_scene(scene, "Working", RenderSettings((8, 6), samples=1)) as working:
+        assert working.cycles.device == device
+    assert scene.cycles.device == "GPU"
+
+
+def test_a_kind_of_device_that_is_not_here_is_refused_before_anything_is_rendered(monkeypatch):
+    monkeypatch.setenv(DEVICE_VARIABLE, "abacus")
+    with (
+        pytest.raises(UserError, match="'ABACUS' on this machine: choose one of CPU"),
+        working_scene(empty_scene(), "Working", RenderSettings((8, 6), samples=1)),
+    ):
+        pass
+
+
 def test_working_scenes_are_gone_after_an_error():
     scene = room_with_a_virtual_sphere()
     with pytest.raises(RuntimeError, match="on purpose"), open_scanner(scene, SMALL):
@@ -281,6 +301,7 @@ def test_a_render_leaves_no_line_on_the_terminal_about_a_file_of_ours(capfd):
 def test_another_thread_may_run_python_while_blender_renders():
     script = """
 import os, threading, time, bpy
+from xihe_blender.capture.cycles_device import DEVICE_VARIABLE
 from xihe_blender.capture.render import RenderSettings, render_scene, working_scene
 def wake():
     while True:

@@ -374,6 +374,7 @@ MISTAKES = {
         "--phone nokia_3310": "nokia_3310 ... ipad_pro_lidar",
         "--phone {folder}/mine.toml": "mine.toml ... farthest_m",
         "--network pigeon": "pigeon ... lte",
+        "--cycles-device abacus": "ABACUS ... choose one of CPU",
     },
     "effects {folder}/walk.blend --plan-only ": {
         "--effect volumes=perhaps": "auto, on or off",

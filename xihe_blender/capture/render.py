@@ -23,6 +23,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from xihe_blender.capture.cycles_device import use_chosen_device
 from xihe_blender.errors import UserError
 from xihe_blender.scene.colour_management import in_rec709
 from xihe_blender.scene.state import WORKING, copied_scene, remove_copied_scene, users_name
@@ -109,6 +110,7 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
         raise UserError("Cycles is turned off in this Blender: turn on Cycles Render Engine in Preferences > Add-ons")
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
+    use_chosen_device(scene)
     render.resolution_x, render.resolution_y = settings.size
     render.resolution_percentage = 100
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0

@@ -47,6 +47,14 @@ COMMANDS = {
 MODULES = {"import": "import_capture"}
 """Files whose commands are words of Python."""
 
+RENDER = ("previs", "placement", "budget", "look", "effects", "frontier", "paper", "record", "evaluate")
+"""Commands that render a user's scenes with Cycles."""
+
+CYCLES_DEVICE = (
+    "kind of device that Cycles renders on, such as OPTIX, CUDA, HIP, ONEAPI or METAL for a graphics card; default: "
+    "XIHE_CYCLES_DEVICE in the environment, or else the preferences of this Blender"
+)
+
 NEEDS_BLENDER = (
     "this command needs Blender: with Python 3.11 or 3.13 pip install 'xihe-blender[blender]', or install the "
     "extension and type blender --command xihe instead of xihe"
@@ -65,6 +73,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = command_parser(typed[0] if typed else "").parse_args(with_positions_bound(typed))
         options.command_line = shlex.join(["xihe", *typed])
         with blender_output_aside() as (stdout, stderr), notes_on(stderr):
+            if getattr(options, "cycles_device", None):
+                from xihe_blender.capture.cycles_device import choose_device
+
+                choose_device(options.cycles_device)
             code = options.run(options, stdout, stderr)
     except UserError as error:
         return _failed(str(error))
@@ -109,6 +121,8 @@ def command_parser(command: str | None = None) -> argparse.ArgumentParser:
             module = importlib.import_module(f"{__package__}.{MODULES.get(name, name)}")
             module.add_arguments(of_command)
             of_command.set_defaults(run=module.run)
+            if name in RENDER:
+                of_command.add_argument("--cycles-device", metavar="KIND", help=CYCLES_DEVICE)
     return parser
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import bpy
 
 from xihe_blender.apply.reflection_pictures import has_sun_for_lamp
+from xihe_blender.capture.cycles_device import device_of
 from xihe_blender.compare.methods import ERROR_AT_FULL_SCALE
 from xihe_blender.io import run_results as records
 from xihe_blender.io.exr import write_radiance
@@ -97,7 +98,7 @@ def assemble(
     effects = effects_as_json({**run.effects, **_other_effects(scene), **phone.effects})
     return records.RunResults(
         software=software(command),
-        machine=machine() | {"cycles_device": _cycles_device(scene)},
+        machine=machine() | {"cycles_device": device_of(scene)},
         settings=_settings(run),
         scene=records.SceneResult(
             file=file.name,
@@ -159,13 +160,6 @@ def _settings(run: PreparedRun) -> records.RunSettings:
         error_map_full_scale=ERROR_AT_FULL_SCALE,
     )
     return records.RunSettings(**as_set | came_to_be)
-
-
-def _cycles_device(scene: bpy.types.Scene) -> str:
-    """What Cycles renders on, as the user's Blender is set up."""
-    addon = bpy.context.preferences.addons.get("cycles")
-    kind = addon.preferences.compute_device_type if addon and scene.cycles.device != "CPU" else "NONE"
-    return "CPU" if kind == "NONE" else str(kind)
 
 
 def _mean_comparison(frames: Sequence[records.FrameResult]) -> dict[str, records.Metrics]:

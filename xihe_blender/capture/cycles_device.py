@@ -1,0 +1,81 @@
+"""What does Cycles render on, where no window shows the user's preferences?
+
+Blender as a module starts with the factory's preferences, in which Cycles may use no graphics card; a whole Blender
+starts with the user's, and a server has none. So a variable of the environment names the kind of device,
+`--cycles-device` sets it, and processes that a command starts inherit it. In a window the preferences alone count.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import bpy
+
+from xihe_blender.errors import UserError
+
+DEVICE_VARIABLE = "XIHE_CYCLES_DEVICE"
+CPU = "CPU"
+
+
+def choose_device(kind: str) -> None:
+    """Have this process and those that it starts render on a kind of device; UserError as of `use_chosen_device`."""
+    use_device(kind.upper())
+    os.environ[DEVICE_VARIABLE] = kind.upper()
+
+
+def use_chosen_device(scene: bpy.types.Scene) -> None:
+    """Let `scene` render on the kind of device that was chosen; nothing where none was.
+
+    UserError where this machine has no such device, or this Blender does not know the kind.
+    """
+    kind = _chosen()
+    if kind in ("", CPU):
+        scene.cycles.device = CPU if kind else scene.cycles.device
+        return
+    use_device(kind)
+    scene.cycles.device = "GPU"
+
+
+def use_device(kind: str) -> None:
+    """Let Cycles use all devices of a kind, such as OPTIX, and no other; UserError as of `use_chosen_device`."""
+    if kind == CPU:
+        return
+    cycles = _preferences()
+    if cycles is None:
+        raise UserError("Cycles is turned off in this Blender: turn on Cycles Render Engine in Preferences > Add-ons")
+    if cycles.compute_device_type == kind and cycles.has_active_device():
+        return
+    found = _kinds_with_devices(cycles)
+    if kind not in found:
+        raise UserError(
+            f"Cycles finds no device of the kind {kind!r} on this machine: choose one of {', '.join(found)}"
+        )
+    cycles.compute_device_type = kind
+    for device in cycles.get_devices_for_type(kind):
+        device.use = device.type == kind
+
+
+def device_of(scene: bpy.types.Scene) -> str:
+    """The kind of device that `scene` renders on, as was chosen or as the user's Blender is set up."""
+    if _chosen():
+        return _chosen()
+    cycles = _preferences()
+    kind = "NONE" if cycles is None or scene.cycles.device == CPU else str(cycles.compute_device_type)
+    return CPU if kind == "NONE" else kind
+
+
+def _chosen() -> str:
+    return os.environ.get(DEVICE_VARIABLE, "").upper() if bpy.app.background else ""
+
+
+def _preferences() -> Any:
+    """Of Cycles; None where the user has turned it off."""
+    addon = bpy.context.preferences.addons.get("cycles")
+    return None if addon is None else addon.preferences
+
+
+def _kinds_with_devices(cycles: Any) -> list[str]:
+    cycles.refresh_devices()
+    kinds = [kind for kind, *_ in cycles.get_device_types(bpy.context) if kind != "NONE"]
+    return [CPU, *(kind for kind in kinds if any(d.type == kind for d in cycles.get_devices_for_type(kind)))]
