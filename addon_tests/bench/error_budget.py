@@ -97,7 +97,7 @@ class Session:
 
     def parts(self, sights: list[Sight] | None = None) -> SessionParts:
         sights = sights_of_path(self.run, self.phone) if sights is None else sights
-        return SessionParts(sights, self.run.settings.trigger, self.phone.link_in_use, self.run.estimator, {})
+        return SessionParts(sights, self.run.settings.trigger_in_use, self.phone.link_in_use, self.run.estimator, {})
 
 
 @dataclass

@@ -100,7 +100,7 @@ def test_the_lists_are_those_of_the_science():
             (choices.LIGHT_PARTS, get_args(LightChoice)),
             (choices.TARGETS, get_args(Target)),
             (choices.METERINGS, [choices.PHONES_METERING, *METERINGS]),
-            (choices.TRIGGERS, RULES),
+            (choices.TRIGGERS, [choices.USUAL_TRIGGER, *RULES]),
         ):
             assert sorted(name for name, *_ in items) == sorted(names)
         for items, names in (

@@ -39,7 +39,8 @@ from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.captured_path import capture_path
 from xihe_blender.previs.previs import previs
-from xihe_blender.previs.settings import PREVIS_TRIGGER, PrevisSettings
+from xihe_blender.previs.recorded_run import recorded_session
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.phone_capture import (
     IS_CAPTURED,
     ChosenCapture,
@@ -524,10 +525,12 @@ def test_the_trigger_is_the_recordings_own_unless_another_is_chosen(tmp_path):
     scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
     runs = {
         name: run_on(scene, tmp_path / name, trigger=trigger)
-        for name, trigger in (("own", PREVIS_TRIGGER), ("every", RULES["every-frame"]))
+        for name, trigger in (("own", None), ("every", RULES["every-frame"]))
     }
     assert runs["own"].settings.trigger == asdict(REPLAY_TRIGGER)
     assert runs["every"].settings.trigger == asdict(RULES["every-frame"])
+    chosen = recorded_session(scene, PrevisSettings(trigger=RULES["split"]))
+    assert chosen.settings.trigger == RULES["split"]
     own, every = (runs[name].summary for name in ("own", "every"))
     assert own.n_estimates < every.n_estimates == every.n_active_frames
 

@@ -233,8 +233,10 @@ def test_the_panel_of_the_lit_file_has_the_runs_settings(ran, tmp_path, told):
         assert len(scene.xihe.effects) == 1, "the list of effects is of the same phone"
     run = read_results(tmp_path).settings
     wanted = {name: getattr(run, name, None) for name in chosen}
-    is_split = told == "theta above noise" or "trigger" not in TOLD[told]
-    wanted |= {"trigger": "split" if is_split else "every-frame", "metering": {"key": "key"}.get(run.metering)}
+    wanted |= {
+        "trigger": {"every frame": "every-frame", "theta above noise": None}.get(told, "split"),
+        "metering": {"key": "key"}.get(run.metering),
+    }
     wanted |= {"exposure": None if run.metering else 2.5, "size": run.size}
     if run.estimator == "theirs":
         wanted["estimator"] = "lattice"

@@ -46,7 +46,7 @@ def test_a_perfect_phone_gives_what_the_plain_chain_gives(finished):
     """The reference is the controller alone, fed with the captures that the run kept."""
     estimator = load_estimators(SMALL)[0]
     exposure = finished.results["settings"]["reference_exposure"]
-    settings = ControllerSettings(SMALL.trigger, reference_exposure=exposure, learns_out_of_view=True)
+    settings = ControllerSettings(SMALL.trigger_in_use, reference_exposure=exposure, learns_out_of_view=True)
     chain = XiheController(LocalBackend(estimator), settings)
     for _, probe in steps(finished.results):
         if probe["name"] not in chain.positions:

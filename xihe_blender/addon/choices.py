@@ -43,7 +43,8 @@ LIGHT_PARTS = (
         "Metal and glass reflect what the phone has seen besides",
     ),
 )
-TRIGGERS = (
+USUAL_TRIGGER = "USUAL"
+TRIGGERS = (  # A saved file keeps the place of its choice in this list.
     ("split", "It Changes", "When surfaces change colour, or new ones come into view"),
     ("light", "Light Differs", "When the light of all that is known differs by a fifth from that at the last estimate"),
     (
@@ -52,6 +53,7 @@ TRIGGERS = (
         "By the paper's rule, when any direction changes colour by much; it misses a lamp that dims",
     ),
     ("every-frame", "Every Frame", "In each frame in which anything changed: the freshest light, at the highest cost"),
+    (USUAL_TRIGGER, "As Usual", "When it changes; on a phone's recording, as the recording says"),
 )
 PHONES_METERING = "PHONE"
 METERINGS = (

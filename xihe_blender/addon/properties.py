@@ -221,7 +221,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         description="When the light is estimated again. Fewer estimates cost less; the light in use is then older",
         items=choices.TRIGGERS,
         translation_context=OUR_WORDS,
-        default="split",
+        default=choices.USUAL_TRIGGER,
     )
     seed: bpy.props.IntProperty(
         name="Seed", description="Seed of all random numbers; the same seed gives the same results", min=0

@@ -14,7 +14,7 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon.background_run import COMMAND
-from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING, other_estimator_items
+from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING, USUAL_TRIGGER, other_estimator_items
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.addon.results_in_blender import show_results
 from xihe_blender.apply.reflection_pictures import light_called_for
@@ -31,7 +31,7 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.effects import Effect
 from xihenet.phone import load_profile, profile_names
-from xihenet.trigger import RULES
+from xihenet.trigger import RULES, TriggerSettings
 
 
 def run_and_show(scene: bpy.types.Scene, folder: Path, settings: PrevisSettings) -> Job[None]:
@@ -69,7 +69,7 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
         "between_estimates": "carried" if chosen.carries_light else "kept",
         "exposure": chosen.exposure if chosen.use_own_exposure else None,
         "metering": None if chosen.metering == PHONES_METERING else chosen.metering,
-        "trigger": chosen.trigger,
+        "trigger": None if chosen.trigger == USUAL_TRIGGER else chosen.trigger,
         "seed": chosen.seed,
         "phone": _phone(scene),
         "network": None if chosen.network == NO_NETWORK else chosen.network,
@@ -88,7 +88,7 @@ def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
     is_range = frames == list(range(frames[0], frames[-1] + 1, step))
     is_known = made.phone in profile_names()
     is_phones = made.metering is None or (is_known and made.metering == load_profile(made.phone).metering)
-    is_each = made.trigger["policy"] == "split" and made.trigger["theta"] == RULES["every-frame"].theta
+    trigger = TriggerSettings(**made.trigger)  # type: ignore[arg-type]
     choices = {
         "estimator": made.estimator,
         "others": set(made.others) & {item[0] for item in other_estimator_items(None, None)},
@@ -111,7 +111,7 @@ def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
         "use_own_exposure": made.metering is None,
         "exposure": made.reference_exposure,
         "metering": PHONES_METERING if is_phones else made.metering,
-        "trigger": "every-frame" if is_each else made.trigger["policy"],
+        "trigger": next((name for name, rule in RULES.items() if rule == trigger), USUAL_TRIGGER),
         "seed": made.seed,
     }
     for name, value in choices.items():

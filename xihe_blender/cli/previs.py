@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--light PARTS", arguments.LIGHT + AUTO, default="auto")
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--between-estimates carried|kept", arguments.BETWEEN, default="carried")
-    add("--trigger", arguments.TRIGGER + "; default: split", choices=tuple(RULES), default="split")
+    add("--trigger", arguments.TRIGGER + "; default: split, or a recording's own", choices=tuple(RULES))
     add("--network NAME", arguments.NETWORK)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
     add_one = arguments.adder(parser.add_mutually_exclusive_group())
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.blend_file import open_blend
 
-    choices = {"trigger": RULES[options.trigger], "effect_choices": parsed_overrides(options.overrides)}
+    choices = {"trigger": RULES.get(options.trigger), "effect_choices": parsed_overrides(options.overrides)}
     settings = arguments.settings_from(options, PrevisSettings, **choices)
     scene = open_blend(options.scene)
     job = previs(scene, options.out, settings, blend_file=options.scene, command=options.command_line)

@@ -212,7 +212,7 @@ class _Budget:
     def __init__(self, run: PreparedRun, phone: SimulatedPhone, moments: Mapping[str, Sequence[int]]) -> None:
         self.run, self.phone, self.moments = run, phone, moments
         self.sights = sights_of_path(run, phone)
-        self.as_it_was = SessionParts(self.sights, run.settings.trigger, phone.link_in_use, run.estimator, {})
+        self.as_it_was = SessionParts(self.sights, run.settings.trigger_in_use, phone.link_in_use, run.estimator, {})
         self.lights = {probe.name: self._lights(probe, self.as_it_was) for probe in run.plan.probes}
 
     def _lights(self, probe: Probe, parts: SessionParts) -> dict[int, LightInForce]:

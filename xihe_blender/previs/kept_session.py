@@ -103,7 +103,7 @@ def kept_facts(run: PreparedRun) -> SessionFacts:
     return SessionFacts(
         f"{outputs.scene}, {seen_by}",
         reference_exposure=run.exposure,
-        trigger=run.settings.trigger,
+        trigger=run.settings.trigger_in_use,
         files=tuple(outputs.relative(seen if seen.exists() else capture) for seen, capture in paths),
     )
 

@@ -163,7 +163,7 @@ def made_of(
         "linked_sha256": contents_sha256(files_read()),
         "scene": scene.name,
         # A phone of the user's own may have been moved, or its file may have changed.
-        "settings": asdict(settings) | {"phone": Path(settings.phone).stem},
+        "settings": asdict(settings) | {"phone": Path(settings.phone).stem, "trigger": asdict(settings.trigger_in_use)},
         "phone": asdict(settings.profile),
         "preset": asdict(settings.preset_values),
         "frames": plan.frames,

@@ -178,7 +178,7 @@ def prepare_run(
         lambda: as_json(measure_sample_count(scene, plan, survey, settings, exposure, transport)),
     )
     light = light_called_for(plan.objects) if settings.light == "auto" else settings.light
-    settings = replace(settings, light=light, trigger=above_noise(settings.trigger, count.capture_change))
+    settings = replace(settings, light=light, trigger=above_noise(settings.trigger_in_use, count.capture_change))
     phone = choose_phone(scene, survey, settings)
     needs = phone.needs
     reuse = render_reuse(survey, effects, needs)

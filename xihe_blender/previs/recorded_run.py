@@ -29,7 +29,7 @@ from xihe_blender.light_transport.render_reuse import each_its_own, plan_render_
 from xihe_blender.previs.plan import PrevisPlan, planned_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
-from xihe_blender.previs.settings import PREVIS_TRIGGER, PrevisSettings
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.simulated_phone import choose_phone
 from xihe_blender.previs.survey import SceneSurvey
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
@@ -98,13 +98,12 @@ def recorded_session(scene: bpy.types.Scene, settings: PrevisSettings) -> Record
     if not frames:
         raise UserError(f"the recording has none of these frames: choose among {min(known)} to {max(known)}")
     first = read_captured(next(iter(frames.values())))
-    trigger = settings.trigger if settings.trigger != PREVIS_TRIGGER else capture.trigger or REPLAY_TRIGGER
     settings = replace(
         settings,
         frames=tuple(frames),
         size=(first.intrinsics.width, first.intrinsics.height),
         exposure=capture.reference_exposure or first.exposure,
-        trigger=trigger,
+        trigger=settings.trigger or capture.trigger or REPLAY_TRIGGER,
         phone="perfect",
     )
     said = RecordingResult(

@@ -145,7 +145,7 @@ def _settings(run: PreparedRun) -> records.RunSettings:
         effect_choices=overrides_in_force(run.scene, settings.effect_choices),
         reference_exposure=run.exposure,
         metering=None if settings.exposure is not None else settings.metering_in_force,
-        trigger=asdict(settings.trigger),
+        trigger=asdict(settings.trigger_in_use),
         following=None if settings.following is None else asdict(settings.following),
         samples=records.SampleCounts(
             capture=count.capture_samples, truth=reference.max_samples, comparison=preset.comparison_samples

@@ -156,7 +156,7 @@ def measure_sample_count(
         return SampleCount(preset.max_samples)
     n_small = pilot_samples(preset)
     capture = replace(settings.capture(plan.size, n_small), light_transport=light_transport)
-    noise, change = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger)
+    noise, change = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger_in_use)
     n_samples = samples_taken(preset, noise, settings.noise_aim)
     elapsed_s = time.perf_counter() - start
     return SampleCount(n_samples, noise.noise(n_samples), elapsed_s, change * min(1.0, n_small / n_samples))

@@ -93,7 +93,7 @@ class PrevisSettings:
     noise_target : relative error of the light that rendering may cause; None takes the preset's
     samples : of every capture and light probe, whatever the noise; None takes what the noise target calls for
     n_anchors : of the unit sphere
-    trigger : when a new estimate is worth its cost
+    trigger : when a new estimate is worth its cost; None takes PREVIS_TRIGGER, or in a recording its own
     following : how what is out of view follows a change of the light; None lets it be
     between_estimates : "carried", so that the light in force changes as the light in view does until the next
         estimate is there, or "kept" as it was estimated
@@ -118,7 +118,7 @@ class PrevisSettings:
     n_anchors: int = 1280
     noise_target: float | None = None
     samples: int | None = None
-    trigger: TriggerSettings = field(default_factory=lambda: PREVIS_TRIGGER)
+    trigger: TriggerSettings | None = None
     following: LightFollowing | None = field(default_factory=LightFollowing)
     between_estimates: BetweenEstimates = "carried"
     phone: str = "perfect"
@@ -200,10 +200,14 @@ class PrevisSettings:
         """The noise target in force: the user's or the preset's."""
         return self.preset_values.noise_target if self.noise_target is None else self.noise_target
 
+    @property
+    def trigger_in_use(self) -> TriggerSettings:
+        return self.trigger or PREVIS_TRIGGER
+
     def chain(self, exposure: float) -> ControllerSettings:
         """Of a session whose anchors and estimates carry `exposure`."""
         return ControllerSettings(
-            self.trigger,
+            self.trigger_in_use,
             reference_exposure=exposure,
             following=self.following,
             learns_out_of_view=self.captured == "path",
@@ -228,8 +232,9 @@ class PrevisSettings:
 
 
 def settings_of(choices: Mapping[str, Any]) -> PrevisSettings:
-    """Of choices that a JSON file can hold: `trigger` is the name of one of `RULES`."""
-    return PrevisSettings(**{**choices, "trigger": RULES[choices["trigger"]]})
+    """Of choices that a JSON file can hold: `trigger` is the name of one of `RULES`, or None."""
+    name = choices["trigger"]
+    return PrevisSettings(**{**choices, "trigger": None if name is None else RULES[name]})
 
 
 def load_estimators(settings: PrevisSettings) -> list[Estimator]:

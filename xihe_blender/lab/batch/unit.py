@@ -271,7 +271,7 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
     active = [entry for entry in walked.frames if entry.active]
     if run.settings.estimator in WITHOUT_ANCHORS or not active:
         return []
-    own, link = run.settings.trigger, walked.phone.link_in_use
+    own, link = run.settings.trigger_in_use, walked.phone.link_in_use
     factors = FACTORS if own.theta or own.coverage_theta else (1.0,)
     triggers = [own.scaled(factor) for factor in factors]
     chain, seed = replace(run.settings, light="sh").chain(run.exposure), run.settings.seed

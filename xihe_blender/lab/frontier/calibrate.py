@@ -73,7 +73,7 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
         effects = plan_effects(survey.required, overrides_in_force(scene, settings.effect_choices))
         capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=cycles_settings(effects))
         yield Progress(1, 3, "measuring the noise of a few samples")
-        noise, _ = measure_captures(scene, [view], capture, exposure, settings.n_anchors, settings.trigger)
+        noise, _ = measure_captures(scene, [view], capture, exposure, settings.n_anchors, settings.trigger_in_use)
         yield Progress(2, 3, "timing a few samples")
         seen: list[RgbdFrame] = []
         with open_scanner(scene, capture) as scanner:
