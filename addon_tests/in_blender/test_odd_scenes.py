@@ -350,6 +350,71 @@ def test_physics_that_is_not_baked_and_stretched_time_are_named():
     assert [fault.name for fault in timing_faults(scene)] == ["Furry", scene.name]
 
 
+def drifting(item):
+    """`item` with a simulation zone that moves it by a metre in each frame, in a group within its geometry nodes."""
+    zone, outer = (bpy.data.node_groups.new(name, "GeometryNodeTree") for name in ("Drift", "Outer"))
+    for tree, direction in ((zone, "INPUT"), (zone, "OUTPUT"), (outer, "INPUT"), (outer, "OUTPUT")):
+        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    first, last = (zone.nodes.new(f"GeometryNodeSimulation{end}") for end in ("Input", "Output"))
+    first.pair_with_output(last)
+    step = zone.nodes.new("GeometryNodeSetPosition")
+    step.inputs["Offset"].default_value = (1, 0, 0)
+    zone.links.new(zone.nodes.new("NodeGroupInput").outputs[0], first.inputs[0])
+    zone.links.new(first.outputs["Geometry"], step.inputs[0])
+    zone.links.new(step.outputs[0], last.inputs["Geometry"])
+    zone.links.new(last.outputs[0], zone.nodes.new("NodeGroupOutput").inputs[0])
+    group = outer.nodes.new("GeometryNodeGroup")
+    group.node_tree = zone
+    outer.links.new(outer.nodes.new("NodeGroupInput").outputs[0], group.inputs[0])
+    outer.links.new(group.outputs[0], outer.nodes.new("NodeGroupOutput").inputs[0])
+    modifier = item.modifiers.new("Drift", "NODES")
+    modifier.node_group = outer
+    return modifier
+
+
+def x_at(item, frame):
+    bpy.context.scene.frame_set(frame)
+    return item.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.vertices[0].co.x
+
+
+def test_a_simulation_zone_is_named_unless_it_is_baked_to_disk_or_into_the_file(tmp_path):
+    scene = empty_scene()
+    scene.frame_end = 5
+    flock = box(scene, "Flock", (0, 0, 0), (1, 1, 1))
+    modifier = drifting(flock)
+    zone, start = modifier.bakes[0], flock.data.vertices[0].co.x
+    as_made = (modifier.bake_directory, zone.directory, zone.use_custom_path)
+    (fault,) = timing_faults(scene)
+    assert fault.name == "Flock" and "Simulation Nodes > Bake" in fault.said
+    assert x_at(flock, 1) - start == 1 and x_at(flock, 5) - start == 2, "frames that are left out are not worked out"
+    with bpy.context.temp_override(object=flock, active_object=flock, selected_objects=[flock]):
+        bpy.ops.object.simulation_nodes_cache_bake(selected=True)
+        if hasattr(zone, "bake_target"):
+            assert not list(timing_faults(scene)) and x_at(flock, 5) - start == 5
+            assert as_made == (modifier.bake_directory, zone.directory, zone.use_custom_path)
+            bpy.ops.object.simulation_nodes_cache_delete(selected=True)
+            assert list(timing_faults(scene)) == [fault]
+            zone.bake_target = "DISK"
+        modifier.bake_directory = str(tmp_path / "flock")
+        bpy.ops.object.simulation_nodes_cache_bake(selected=True)
+    assert not list(timing_faults(scene))
+    shutil.rmtree(tmp_path / "flock")
+    assert list(timing_faults(scene)) == [fault]
+    modifier.show_render = False
+    assert not list(timing_faults(scene))
+
+
+def test_a_replay_fluid_is_named():
+    scene = empty_scene()
+    smoke = box(scene, "Smoke", (0, 0, 0), (1, 1, 1)).modifiers.new("", "FLUID")
+    smoke.show_viewport = False  # Evaluated without a simulation it crashes Blender.
+    smoke.fluid_type = "DOMAIN"
+    (fault,) = timing_faults(scene)
+    assert fault.name == "Smoke" and "Replay" in fault.said
+    smoke.domain_settings.cache_type = "ALL"
+    assert not list(timing_faults(scene))
+
+
 def test_python_that_was_not_run_is_named(tmp_path):
     walk(2)
     bpy.data.objects["Lamp"].driver_add("location", 2).driver.expression = "bpy.data.scenes[0].frame_current"

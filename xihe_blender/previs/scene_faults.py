@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -222,7 +223,8 @@ def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
         more = f" and {len(loose) - 1} more" if len(loose) > 1 else ""
         said = (
             f"The physics of {loose[0]!r}{more} is not baked: Blender works out each frame from the one before, and a "
-            "run leaves frames out, so that it may be elsewhere than in your own renders. Bake it (Cache > Bake)."
+            "run leaves frames out, so that it may be elsewhere than in your own renders. Bake it (Cache > Bake, or "
+            "Simulation Nodes > Bake; of a fluid choose another Type than Replay)."
         )
         yield Fault(name=loose[0], n=len(loose), said=said)
     keyed = animated_paths(scene)
@@ -252,11 +254,18 @@ def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
 
 
 def _is_worked_out(modifier: bpy.types.Modifier) -> bool:
-    """Whether it is cloth, a soft body, hair that moves or dynamic paint, and is not baked.
+    """Whether it is cloth, a soft body, hair that moves, dynamic paint or a simulation zone, and is not baked.
 
-    Of a simulation zone of geometry nodes Python is not told whether it is.
+    A Replay fluid never is: Blender keeps of it what was played.
     """
     caches: list[Any] = []
+    if not modifier.show_render:
+        return False
+    if modifier.type == "NODES":
+        zones = [bake for bake in modifier.bakes if bake.node.type == "SIMULATION_OUTPUT"]
+        return not all(_is_zone_baked(modifier, zone) for zone in zones)
+    if modifier.type == "FLUID":
+        return modifier.fluid_type == "DOMAIN" and modifier.domain_settings.cache_type == "REPLAY"
     if modifier.type in ("CLOTH", "SOFT_BODY"):
         caches = [modifier.point_cache]
     elif modifier.type == "PARTICLE_SYSTEM" and modifier.particle_system.use_hair_dynamics:
@@ -264,7 +273,31 @@ def _is_worked_out(modifier: bpy.types.Modifier) -> bool:
     elif modifier.type == "DYNAMIC_PAINT" and modifier.canvas_settings is not None:
         surfaces = modifier.canvas_settings.canvas_surfaces
         caches = [surface.point_cache for surface in surfaces if surface.is_active and surface.is_cache_user]
-    return modifier.show_render and not all(cache.is_baked for cache in caches)
+    return not all(cache.is_baked for cache in caches)
+
+
+def _is_zone_baked(modifier: bpy.types.NodesModifier, zone: bpy.types.NodesModifierBake) -> bool:
+    """Whether the simulation zone has a bake on disk or, which Python is not told, in the .blend.
+
+    What is in the .blend already can be packed from a folder that holds nothing.
+    """
+    own = modifier.bake_directory and str(Path(modifier.bake_directory, str(zone.bake_id)))
+    folder = zone.directory if zone.use_custom_path else own
+    if folder and matching(
+        absolute_pattern(str(Path(pattern_of(modifier.id_data, folder), "meta", "*")), blend_folder())
+    ):
+        return True
+    if not hasattr(zone, "bake_target"):  # Blender 4.2 packs none.
+        return False
+    place = zone.use_custom_path, zone.directory
+    zone.use_custom_path, zone.directory = True, f"{bpy.app.tempdir}nothing"
+    which = {"session_uid": modifier.id_data.session_uid, "modifier_name": modifier.name, "bake_id": zone.bake_id}
+    try:
+        return bpy.ops.object.geometry_node_bake_pack_single(**which) == {"FINISHED"}
+    except RuntimeError:
+        return False
+    finally:
+        zone.use_custom_path, zone.directory = place
 
 
 def _rendered_in(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
