@@ -24,6 +24,7 @@ from xihenet.io.recording import load_frame
 from xihenet.phone import EFFECTS, LINKS
 from xihenet.phone.session import PhoneSession
 from xihenet.records import UnitSphereCloud
+from xihenet.trigger import RULES
 
 FAST = replace(SMALL, estimator="projection", n_anchors=320)
 
@@ -200,6 +201,18 @@ def test_estimates_that_are_lost_never_light_anything(finished):
         assert all(request.latency_s is None for request in requests.values())
         for name in names:
             assert np.array_equal(session.light(name, entry["time_s"]), session.ambient_sh)
+
+
+def test_a_run_goes_on_however_its_objects_and_its_trigger_are_named(tmp_path):
+    scene = walk(2)
+    scene.objects["Ball"].name = "Caf\u00e9"
+
+    def made(**named):
+        settings = replace(SMALL, **named)
+        return made_of("a run", scene, tmp_path / "no.blend", settings, plan_previs(scene, settings))
+
+    assert made(objects=("Caf\u00e9",)) == made(objects=("Cafe\u0301",), trigger=RULES["split"])
+    assert made(objects=("Caf\u00e9",)) != made()
 
 
 def test_a_run_goes_on_where_a_phone_of_the_users_own_was_moved_and_not_where_it_changed(tmp_path):

@@ -89,7 +89,7 @@ def capture_path(
     """
     settings, plan = path_plan(scene, settings)
     outputs, loaded = RunOutputs(out, blend_file.stem), load_estimators(settings)
-    content = made_of(work, scene, blend_file, replace(settings, objects=None), plan)
+    content = made_of(work, scene, blend_file, settings, plan)
     manifest = FolderManifest(out, outputs.settings, work, content, (out / "report.html",))
     manifest.check()
     survey = survey_run(scene, plan, outputs)

@@ -162,8 +162,9 @@ def made_of(
         "blend_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else None,
         "linked_sha256": contents_sha256(files_read()),
         "scene": scene.name,
-        # A phone of the user's own may have been moved, or its file may have changed.
-        "settings": asdict(settings) | {"phone": Path(settings.phone).stem, "trigger": asdict(settings.trigger_in_use)},
+        # A phone of the user's own may have been moved, or its file may have changed; objects are below, as spelled.
+        "settings": asdict(settings)
+        | {"phone": Path(settings.phone).stem, "trigger": asdict(settings.trigger_in_use), "objects": None},
         "phone": asdict(settings.profile),
         "preset": asdict(settings.preset_values),
         "frames": plan.frames,
