@@ -1,6 +1,7 @@
 """Work over Dask: what dies is tried again, what cannot be done says so, and rooms are the same whoever makes them."""
 
 import importlib.metadata
+import subprocess
 import sys
 import threading
 from urllib.request import urlopen
@@ -16,7 +17,7 @@ from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.store import room_path, save_room
 from xihe_blender.lab.workers import dask_workers
 from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers, own_program
-from xihe_blender.lab.workers.processes import module_command
+from xihe_blender.lab.workers.processes import EXIT_CRASHED, module_command
 
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
@@ -55,6 +56,14 @@ def test_a_process_that_dies_is_tried_again(scheduler, scripts):
     )
     assert run(scheduler, asked("dies_once", str(scripts / "mark"))) == {}
     assert (scripts / "mark").exists()
+
+
+def test_a_blender_ends_when_nobody_reads_it_any_more():
+    asks = "from xihe_blender.lab.workers.processes import end_without_a_reader; end_without_a_reader(1)"
+    with subprocess.Popen([sys.executable, "-c", asks], stdout=subprocess.PIPE) as process:
+        process.stdout.read(1)
+        process.stdout.close()
+        assert process.wait(20) == EXIT_CRASHED
 
 
 def test_one_that_always_dies_is_named_and_the_others_are_done(scheduler, scripts):

@@ -6,7 +6,7 @@ for each unit: loading Blender takes a second of the minute that a unit takes, m
 of Blender costs one unit, which is handed out again.
 
 Exit codes: 0 done, 2 the unit cannot be done, and the last line on stderr says why; anything else is a crash. Where the
-worker is gone nobody reads the shares, and the process ends as it tells the next one.
+worker is gone, however it ended, nobody reads the shares, and the process ends within a second or two.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import shutil
 import signal
 import sys
+import threading
 from pathlib import Path
 from typing import IO
 
@@ -31,9 +32,12 @@ from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 def main() -> int:
     # Ctrl-C reaches the whole group of processes; the batch decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from xihe_blender.lab.workers.processes import end_without_a_reader
+
     scene, seed, folder = sys.argv[1:]
     settings = from_json(BatchSettings, json.load(sys.stdin))
     with blender_output_aside() as (stdout, stderr):
+        threading.Thread(target=end_without_a_reader, args=(stdout.fileno(),), daemon=True).start()
         try:
             write_result(Path(scene), int(seed), Path(folder), settings, stdout)
         except (UserError, OSError) as error:

@@ -12,6 +12,7 @@ import os
 import runpy
 import shutil
 import sys
+import time
 import traceback
 from pathlib import Path
 from typing import NoReturn
@@ -45,6 +46,19 @@ def leave_blender(code: int) -> NoReturn:
     sys.stderr.flush()
     shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
     os._exit(code)
+
+
+def end_without_a_reader(pipe: int) -> NoReturn:
+    """End this Blender, from a thread beside its work, within a second of the end of whoever reads `pipe`.
+
+    A pipe that goes to somebody tells of their end only when it is written to: a line of nothing, in each second.
+    """
+    while True:
+        try:
+            os.write(pipe, b"\n")
+        except OSError:
+            leave_blender(EXIT_CRASHED)
+        time.sleep(1)
 
 
 def _run_module(paths: str, module: str, *arguments: str) -> NoReturn:
