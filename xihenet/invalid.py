@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 Counts = Mapping[str, int]  # How many, by reason; none is 0
 
 LEFT_OUT: Mapping[str, str] = {
-    "no_surface": "no surface there: open sky, a window, or beyond the camera's clip end",
+    "no_surface": "no surface there: open sky, a window, fog or smoke, or beyond the camera's clip end",
     "no_distance": "no distance was measured: a plane depth of 0 or less",
     "low_confidence": "the sensor itself says that its distance is not to be trusted",
     "not_finite": "a plane depth or a position that is NaN or infinite",
