@@ -139,7 +139,8 @@ def test_every_damaged_file_is_named_and_made_again_but_once_and_a_stop_leaves_t
     assert len(later) == 2 and any(file.name == "round_0003_1.json" for file in first)
     damage(first)
     job = frontier([done / "room.blend"], tmp_path / "out", SMALL)
-    next(job)
+    for _ in range(2):  # It looks at the scene, then opens it to measure it.
+        next(job)
     with nothing_changes():
         for progress in job:
             if "exhaustively" in progress.doing and "comparing" in progress.doing:
@@ -253,6 +254,9 @@ def test_a_frontier_of_other_weights_is_refused(done, tmp_path):
 def test_a_scene_without_a_camera_is_refused_before_anything_is_measured(done, tmp_path):
     room_with_a_virtual_sphere()
     bpy.data.objects.remove(bpy.context.scene.camera)
+    job = frontier([done / "room.blend", saved(tmp_path / "blind.blend")], tmp_path / "out", SMALL)
+    looked = [next(job).doing for _ in range(2)]  # Between the scenes Ctrl-C is heard.
+    assert looked == ["room: looking at the scene", "blind: looking at the scene"]
     with pytest.raises(UserError, match="has no camera"):
-        run_blocking(frontier([done / "room.blend", saved(tmp_path / "blind.blend")], tmp_path / "out", SMALL))
+        run_blocking(job)
     assert not (tmp_path / "out").exists() and read(done)
