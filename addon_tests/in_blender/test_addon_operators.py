@@ -298,7 +298,7 @@ def test_the_panel_is_at_first_a_run_without_options_and_every_setting_reaches_t
         ({"use_own_frames": True, "frame_start": 3, "frame_end": 2}, "end at 2, before they start at 3"),
         ({"use_own_frames": True, "frame_start": 3, "frame_end": 9}, "3 to 9 go beyond the scene's range 1 to 5"),
         ({"phone": "FILE"}, "no file is chosen"),
-        ({"phone": "FILE", "phone_file": "/nowhere.toml"}, "Phone /nowhere.toml: there is no phone profile"),
+        ({"phone": "FILE", "phone_file": "/nowhere.toml"}, "Phone: /nowhere.toml: there is no such file"),
     ],
 )
 def test_settings_that_cannot_be_run_are_said_in_the_panels_words(tmp_path, settings, said):

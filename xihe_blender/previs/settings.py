@@ -177,7 +177,7 @@ class PrevisSettings:
         try:
             return load_profile(self.phone)
         except ValueError as error:
-            raise UserError(f"--phone {self.phone}: {error}") from error
+            raise UserError(f"--phone: {error}") from error
 
     @property
     def metering_in_force(self) -> Metering:
