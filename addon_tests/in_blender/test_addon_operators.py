@@ -11,6 +11,7 @@ from scene_snapshot import snapshot
 from tiny_scenes import add, box, empty_scene, memberships, room_with_a_virtual_sphere
 
 from addon_tests.pure.test_old_runs import FIRST, SECOND, THIRD, make_run
+from xihe_blender.addon.planning_operators import known_times
 from xihe_blender.addon.preferences import own_folder, runs_folder
 from xihe_blender.addon.run_settings import previs_settings
 from xihe_blender.addon.runs_folder import new_run_folder
@@ -358,3 +359,10 @@ def test_how_long_says_the_time_of_the_run(tmp_path):
     state = bpy.context.window_manager.xihe
     for said in (state.run_estimate, state.budget_estimate):
         assert said.startswith("about ") and said.endswith(" on this machine")
+    chosen, known = bpy.context.scene.xihe, (state.run_estimate, state.budget_estimate)
+    for name, other in (("preset", "accurate"), ("frame_end", 3), ("others", {"projection"})):
+        before = getattr(chosen, name)
+        assert known_times(bpy.context) == known
+        setattr(chosen, name, other)
+        assert known_times(bpy.context) == ("", ""), f"measured before {name} was {other}"
+        setattr(chosen, name, before)

@@ -10,7 +10,7 @@ import bpy
 
 from xihe_blender.addon.background_run import COMMAND
 from xihe_blender.addon.panels import StagePanel, sentence
-from xihe_blender.addon.planning_operators import Measuring
+from xihe_blender.addon.planning_operators import Measuring, known_times
 from xihe_blender.addon.runs_folder import found_folder, last_budget, new_run_folder
 from xihe_blender.jobs import Job
 
@@ -62,7 +62,7 @@ class XIHE_PT_error_budget(StagePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, folder = self.layout, context.scene.xihe.budget_folder
         budget = last_budget(folder)
-        takes = context.window_manager.xihe.budget_estimate or "longer than a run: press How Long? to know"
+        takes = known_times(context)[1] or "longer than a run: press How Long? to know"
         if budget is None:
             sentence(context, layout, "Find out what the error of each object comes from, and what would help most:")
             layout.operator("xihe.measure_budget", text="Measure", icon="SORTTIME")

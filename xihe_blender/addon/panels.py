@@ -23,6 +23,7 @@ from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.addon.look_operators import advice_for
+from xihe_blender.addon.planning_operators import known_times
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
 from xihe_blender.apply.datablocks import moved_positions
@@ -273,10 +274,11 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         if job.unshown_run:
             self._draw_unshown(context, BackgroundRun(Path(job.unshown_run)))
         row = layout.row(align=True)
-        row.operator("xihe.measure_run", text="" if job.run_estimate else "How Long?", icon="TIME")
-        if job.run_estimate:
+        takes, _ = known_times(context)
+        row.operator("xihe.measure_run", text="" if takes else "How Long?", icon="TIME")
+        if takes:
             # The rest would be cut off in a narrow sidebar.
-            row.label(text=as_sentence(job.run_estimate).removesuffix(ON_THIS_MACHINE), translate=False)
+            row.label(text=as_sentence(takes).removesuffix(ON_THIS_MACHINE), translate=False)
         if job.error:
             sentence(context, layout, job.error, icon="ERROR")
         elif not (has_camera(context) or has_virtual_objects(context)):

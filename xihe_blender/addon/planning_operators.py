@@ -11,6 +11,24 @@ from xihe_blender.addon.calibration import calibration_file
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob
 from xihe_blender.jobs import Job
+from xihe_blender.scene.virtual_objects import virtual_objects
+
+OF_TIME = (
+    "estimator",
+    "others",
+    "preset",
+    "light",
+    "captures_path",
+    "phone",
+    "network",
+    "use_own_size",
+    "size",
+    "use_own_frames",
+    "frame_start",
+    "frame_end",
+    "frame_step",
+)
+"""Settings on which the time of a run depends."""
 
 
 class XIHE_OT_plan_effects(Action, bpy.types.Operator):
@@ -32,6 +50,24 @@ class XIHE_OT_plan_effects(Action, bpy.types.Operator):
             row = rows.add()
             row.name, row.required, row.reason = name, effect.state, effect.reason
             row.is_switchable, row.override = effect.is_switchable, remembered.get(name, "auto").upper()
+
+
+def timed(scene: bpy.types.Scene) -> str:
+    """What the time of a run depends on, to be compared with what it was when the time was measured."""
+    chosen = [getattr(scene.xihe, name) for name in OF_TIME]
+    values = [
+        sorted(value) if isinstance(value, set) else list(value) if hasattr(value, "__len__") else value
+        for value in chosen
+    ]
+    names = [item.name for item in virtual_objects(scene)]
+    return repr([scene.name, scene.frame_start, scene.frame_end, scene.frame_step, names, values])
+
+
+def known_times(context: bpy.types.Context) -> tuple[str, str]:
+    """How long a run and an error budget would take; empty if that was not measured as scene and settings are now."""
+    state = context.window_manager.xihe
+    is_known = state.timed and state.timed == timed(context.scene)
+    return (state.run_estimate, state.budget_estimate) if is_known else ("", "")
 
 
 class Measuring(polls.Conditional, ModalJob):
@@ -60,6 +96,7 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
         from xihe_blender.addon.run_settings import previs_settings
         from xihe_blender.previs.run_time import run_time_job
 
+        self.timed = timed(context.scene)
         return run_time_job(context.scene, previs_settings(context.scene))
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
@@ -67,6 +104,7 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
 
         state = context.window_manager.xihe
         state.run_estimate, state.budget_estimate = map(format_run_time, (result.total_s, result.budget_s))
+        state.timed = self.timed
         return {"FINISHED"}
 
 
