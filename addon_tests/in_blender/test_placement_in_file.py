@@ -159,6 +159,11 @@ def test_the_place_under_a_line_of_sight_is_the_nearest_that_it_meets(by_hand):
     assert squares.hit((0.0, 0.0, 0.01), (1.0, 0.0, 0.0)) is None, "level"
 
 
+def test_squares_are_drawn_two_millimetres_above_the_mesh_in_a_scene_of_any_scale(by_hand):
+    mesh_z = [vertex.co.z for vertex in by_hand.data.vertices]
+    np.testing.assert_allclose(Squares(by_hand).corners[:, 2] - mesh_z, 0.002 / 0.5, atol=1e-6)
+
+
 def test_an_object_of_the_users_with_our_name_is_left_alone(by_hand, tmp_path):
     remove_placement_map()
     own = bpy.data.objects.new("Xihe Placement Map", bpy.data.meshes.new("own"))

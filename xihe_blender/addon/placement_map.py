@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from xihenet.records import ArrayF32
 
 OPACITY = 0.75
-SECOND_LIFT = 0.002
-"""Of the drawn squares above the mesh, in Blender units."""
+SECOND_LIFT_M = 0.002
+"""Of the drawn squares above the mesh, whose own faces would show through them else."""
 
 LEGEND_PX, LEGEND_HIGH_PX, MARGIN_PX = 180.0, 12.0, 24.0
 MOUSE_OFFSET_PX = 18.0
@@ -177,6 +177,7 @@ class Squares:
         # As light they would be in the file's working space.
         mesh.color_attributes[COLOURS].data.foreach_get("color_srgb", colours)
         self.corners: ArrayF32 = corners.reshape(-1, 3)
+        self.corners[:, 2] += SECOND_LIFT_M / metres_per_unit(bpy.context.scene)
         self.colours: ArrayF32 = srgb_to_linear(colours.reshape(-1, 4))
         self.colours[:, 3] = OPACITY
         self.batch: Any = None
@@ -190,8 +191,9 @@ class Squares:
         if self.batch is None:
             first = 4 * np.arange(len(self.corners) // 4)[:, None]
             triangles = np.concatenate([first + (0, 1, 2), first + (0, 2, 3)]).astype("i")
-            raised = self.corners + np.array((0, 0, SECOND_LIFT), "f")
-            self.batch = batch_for_shader(shader, "TRIS", {"pos": raised, "color": self.colours}, indices=triangles)
+            self.batch = batch_for_shader(
+                shader, "TRIS", {"pos": self.corners, "color": self.colours}, indices=triangles
+            )
         gpu.state.blend_set("ALPHA")
         gpu.state.depth_test_set("LESS_EQUAL")
         self.batch.draw(shader)
