@@ -34,14 +34,14 @@ def test_a_run_that_would_tell_little_is_doubted_before_it():
 def doubts_of_objects(scene):
     bpy.context.view_layer.update()
     named = {item.name.split(".")[0] for item in virtual_objects(scene)}
-    return [doubt for doubt in polls.doubts(scene) if doubt.split()[0] in named]
+    return [doubt for doubt in polls.doubts(scene) if doubt.split()[0].strip("'") in named]
 
 
 def test_virtual_objects_that_no_picture_shows_are_doubted():
     scene = room_with_a_virtual_sphere()
     ball, home = bpy.data.objects["Ball"], virtual_collection(scene)
     assert doubts_of_objects(scene) == []
-    disabled = ["Ball is disabled in renders: no picture will show it"]
+    disabled = ["'Ball' is disabled in renders: no picture will show it"]
     ball.hide_render = True
     assert doubts_of_objects(scene) == disabled
     ball.keyframe_insert("hide_render", frame=1)
@@ -55,7 +55,7 @@ def test_virtual_objects_that_no_picture_shows_are_doubted():
     scene.collection.children.unlink(home)
     assert doubts_of_objects(scene) == disabled
     box(scene, "Vase", (0, 0, 1), (0.1, 0.1, 0.1), collection=home)
-    assert doubts_of_objects(scene) == ["Ball and 1 more are disabled in renders: no picture will show them"]
+    assert doubts_of_objects(scene) == ["'Ball' and 1 more are disabled in renders: no picture will show them"]
 
 
 def test_a_virtual_curve_without_a_surface_is_doubted():
@@ -64,7 +64,7 @@ def test_a_virtual_curve_without_a_surface_is_doubted():
     curve.splines.new("POLY").points.add(3)
     item = add(scene, "Wire", curve, collection=virtual_collection(scene))
     profile = add(scene, "Profile", bpy.data.curves.new("Profile", "CURVE"))
-    bare = ["Wire has no surface, only a curve: give it a bevel, an extrusion or a fill"]
+    bare = ["'Wire' has no surface, only a curve: give it a bevel, an extrusion or a fill"]
     assert doubts_of_objects(scene) == bare
     for name, value, otherwise in (("bevel_depth", 0.1, 0), ("extrude", 0.1, 0), ("bevel_object", profile, None)):
         setattr(curve, name, value)
@@ -84,7 +84,7 @@ def test_a_virtual_object_around_the_camera_is_doubted():
     scene = room_with_a_virtual_sphere()
     x, y, z = scene.camera.location
     box(scene, "Mesh_0", (x, y, z), (4, 4, 0.5), collection=virtual_collection(scene))
-    said = "Mesh_0 encloses the camera: is it the room? Only what the phone inserts is to be virtual"
+    said = "'Mesh_0' encloses the camera: is it the room? Only what the phone inserts is to be virtual"
     assert doubts_of_objects(scene) == [said]
     bpy.data.objects["Mesh_0"].location.z += 0.3
     assert doubts_of_objects(scene) == []

@@ -390,7 +390,7 @@ def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     moved = moved_positions(context.scene)
     for name, (coverage, error) in moved.items():
         expected = "" if error is None else f", expected error {error:.3f}"
-        words = f"{name} was moved or added since: coverage {coverage:.0%}{expected}"
+        words = f"{name!r} was moved or added since: coverage {coverage:.0%}{expected}"
         sentence(context, layout, words, icon="CON_FOLLOWTRACK")
     if moved:
         sentence(context, layout, "Errors and ground truth below are of the run: for new ones run again", icon="INFO")
@@ -404,7 +404,7 @@ def _draw_looks(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     if any(one.has_look for one in advice):
         row.operator("xihe.add_better_camera", icon="CAMERA_DATA")
     for one in advice:
-        sentence(context, layout, f"{one.name}: {one.sentence}", icon="INFO")
+        sentence(context, layout, f"{one.name!r}: {one.sentence}", icon="INFO")
 
 
 def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:

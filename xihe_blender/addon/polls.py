@@ -122,7 +122,7 @@ def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
 
 
 def _named(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+    return repr(names[0]) if len(names) == 1 else f"{names[0]!r} and {len(names) - 1} more"
 
 
 def _rendered_objects(scene: bpy.types.Scene) -> set[bpy.types.Object]:

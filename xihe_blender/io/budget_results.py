@@ -111,7 +111,7 @@ class ObjectBudget:
     def advice(self) -> str:
         """What would help most, in a sentence."""
         if self.error is None:
-            return f"{self.name} was never in view, so that nothing is known of its error."
+            return f"Nothing is known of the error of {self.name}, which was never in view."
         if not self.brightness:
             return f"No light reaches {self.name}, so that its light has no error to divide."
         now = format_percent(self.relative(self.error))
