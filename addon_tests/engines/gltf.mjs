@@ -16,7 +16,7 @@ import { sphereGlb } from "./sphere.mjs";
 export const version = Engine.Version;
 
 // Of a white metal, in place of the matt surface.
-const ROUGHNESS = { mirror: 0, rough: 0.56 };
+const ROUGHNESS = { mirror: 0, rough: 0.56, rougher: 0.85 };
 
 export async function start(side) {
   const canvas = document.body.appendChild(document.createElement("canvas"));
@@ -33,6 +33,8 @@ export async function start(side) {
     const white = new PBRMaterial("white", scene);
     [white.metallic, white.roughness, white.metallicF0Factor] = roughness === undefined ? [0, 1, 0] : [1, roughness, 1];
     white.brdf.baseDiffuseModel = Constants.MATERIAL_DIFFUSE_MODEL_LAMBERT;
+    // By default a part of what rough metal reflects, alpha, is the soft light along the normal.
+    white.brdf.mixIblRadianceWithIrradiance = false;
     for (const mesh of scene.meshes) mesh.material = white;
     // From afar: its shader looks from where the camera stands, in an orthographic view as well.
     const camera = new FreeCamera("camera", new Vector3(0, 0, view === "front" ? 500 : -500), scene);
