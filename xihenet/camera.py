@@ -38,6 +38,7 @@ MISS_PLANE_DEPTH_M = 1e9  # At and beyond this a plane depth is a miss: Cycles w
 NEGLIGIBLE_M = 1e-6  # What rounding a camera's place to float32 costs stays below it within 16 m of the origin
 BEHIND = 1.1  # A point at so many times the depth of what is seen there lies behind it: sensors err by less
 THROUGH_FROM = 1.1  # Depth, times that of a point, from which there is nothing at the point
+ENCODED_AT_ONCE = 2**18  # Values of a picture; all of one of 8192x8192 pixels together would take 10 GB
 SMALLEST_VOLUME = 1e-12  # Of the box of a camera's axes of length 1; flatter ones cannot be inverted
 
 
@@ -316,10 +317,14 @@ def encode_exposed(radiance: ArrayLike, exposure: float) -> ArrayU8:
     """
     if not (np.isfinite(exposure) and exposure >= 0):
         raise ValueError(f"encode_exposed: expected a finite exposure >= 0, got {exposure}")
-    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=1e30, neginf=0.0)
-    with np.errstate(over="ignore"):  # What overflows is clipped in the next line.
-        exposed = np.clip(finite * exposure, 0.0, 1.0)
-    encoded: ArrayU8 = np.rint(linear_to_srgb(exposed) * 255.0).astype(np.uint8)
+    light = np.asarray(radiance)
+    encoded: ArrayU8 = np.empty(light.shape, np.uint8)
+    values, codes = light.reshape(-1), encoded.reshape(-1)
+    for start in range(0, len(values), ENCODED_AT_ONCE):
+        finite = np.nan_to_num(values[start : start + ENCODED_AT_ONCE].astype(np.float64), posinf=1e30, neginf=0.0)
+        with np.errstate(over="ignore"):  # What overflows is clipped in the next line.
+            exposed = np.clip(finite * exposure, 0.0, 1.0)
+        codes[start : start + ENCODED_AT_ONCE] = np.rint(linear_to_srgb(exposed) * 255.0)
     return encoded
 
 
@@ -328,7 +333,9 @@ def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
 
     AR toolkits derive their ambient estimate from the camera's picture, so light beyond white is lost to it as well.
     """
-    mean: ArrayF64 = srgb_to_linear(srgb_u8 / 255.0).mean(axis=(0, 1)) / exposure
+    shares = np.stack([np.bincount(srgb_u8[..., channel].reshape(-1), minlength=256) for channel in range(3)])
+    shares = shares / srgb_u8[..., 0].size
+    mean: ArrayF64 = (shares * srgb_to_linear(np.arange(256) / 255.0)).sum(axis=1) / exposure
     return mean
 
 

@@ -1,12 +1,14 @@
 """Pixels to points and back, for any pinhole camera."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from addon_tests.pure.made import frame_of, pose_of, random_rotation
-from xihenet.camera import in_view, part_around, project_points, unproject_frame
+from xihenet.camera import encode_exposed, in_view, part_around, project_points, sensed_ambient, unproject_frame
 from xihenet.colour import srgb_to_linear
 from xihenet.records import Intrinsics
 from xihenet.sampling import sample_unit_sphere
@@ -103,3 +105,20 @@ def test_the_frames_own_exposure_keeps_its_bytes():
     plane_depth_m = np.arange(256.0)[None] - 128  # Pixels that give no point keep theirs, too.
     frame = frame_of(plane_depth_m, srgb_u8=colours, exposure=0.37)
     np.testing.assert_array_equal(np.rint(unproject_frame(frame).srgb * 255), colours.reshape(-1, 3))
+
+
+def test_a_large_picture_is_encoded_in_little_more_memory_than_it_takes():
+    """Of 8192x8192 pixels, the largest capture, all at once would take 10 GB."""
+    radiance = np.full((700, 700, 3), 0.5, np.float32)
+    tracemalloc.start()
+    sensed_ambient(encode_exposed(radiance, 1.0), 1.0)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 3 * radiance.nbytes
+
+
+def test_the_ambient_sensor_reads_the_mean_of_the_picture():
+    rng = np.random.default_rng(0)
+    srgb_u8 = rng.integers(256, size=(5, 7, 3), dtype=np.uint8)
+    expected = srgb_to_linear(srgb_u8 / 255).mean(axis=(0, 1)) / 0.25
+    np.testing.assert_allclose(sensed_ambient(srgb_u8, 0.25), expected, rtol=1e-13)

@@ -78,7 +78,7 @@ def facts_of_frame(frame: RgbdFrame, positions_m: ArrayLike) -> FrameFacts:
     valid = valid_plane_depth(frame.plane_depth_m)
     seen = frame.plane_depth_m[valid]
     facing = facing_cosines(frame, SurfaceFacts())[valid]
-    radiance = srgb_to_linear(frame.srgb_u8 / 255.0).astype(np.float32) / frame.exposure
+    radiance = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)[frame.srgb_u8] / frame.exposure
     return FrameFacts(
         time_s=frame.time_s,
         focal_px=max(frame.intrinsics.fx, frame.intrinsics.fy),
