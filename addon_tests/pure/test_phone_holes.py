@@ -68,6 +68,11 @@ def test_given_normals_are_in_the_world_and_need_no_unit_length(seed):
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
+def test_surfaces_that_face_the_camera_have_a_cosine_of_1_at_most():
+    facts = SurfaceFacts(normals=RAYS)
+    assert facing_cosines(frame_of(np.ones((30, 40)), CAMERA), facts).max() == 1
+
+
 def test_normals_that_are_no_direction_count_as_facing():
     normals = np.zeros((30, 40, 3))
     normals[0, 0] = np.nan

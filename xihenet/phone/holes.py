@@ -178,7 +178,8 @@ def facing_cosines(frame: RgbdFrame, facts: SurfaceFacts) -> ArrayF64:
     lengths = np.linalg.norm(in_camera, axis=2) * np.linalg.norm(rays, axis=2)
     known = np.isfinite(lengths) & (lengths > 0)
     dots = np.abs(np.einsum("hwc,hwc->hw", in_camera, rays))
-    return np.divide(dots, lengths, out=np.ones(lengths.shape), where=known)
+    cosines = np.divide(dots, lengths, out=np.ones(lengths.shape), where=known)
+    return np.minimum(cosines, 1.0, out=cosines)  # Rounding may leave it above.
 
 
 def _normals_in_camera(plane_depth_m: ArrayF32, rays: ArrayF64) -> ArrayF64:
