@@ -74,3 +74,4 @@ def test_an_edge_server_that_is_not_there_is_one_line(tmp_path, addon_for_small_
     with pytest.raises(RuntimeError, match=f"Edge Server: {url} does not answer") as told:
         bpy.ops.xihe.run()
     assert len(str(told.value).strip().splitlines()) == 1
+    assert not (tmp_path / "runs").exists(), "it is asked before anything is written"
