@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from xihenet.backend import NoAnswer
+from xihenet.broken_pipes import broken_pipes_raise
 from xihenet.edge import protocol
 
 
@@ -94,7 +95,8 @@ class PatientConnection:
         """The JSON of an answer, tried once; `TryAgain` for what may pass, `EdgeRefused` for what will not."""
         connection = self._connection = self._connection or self._new_connection()
         try:
-            connection.request(method, path, body, {**self._always, **headers})
+            with broken_pipes_raise():
+                connection.request(method, path, body, {**self._always, **headers})
             response = connection.getresponse()
             status, text = response.status, response.read()
             answer = json.loads(text)

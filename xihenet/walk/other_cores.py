@@ -19,6 +19,7 @@ from collections import deque
 from collections.abc import Generator, Iterator, Mapping
 from typing import Any
 
+from xihenet.broken_pipes import broken_pipes_raise
 from xihenet.child_processes import child_environment, n_cores
 from xihenet.records import ArrayF64
 from xihenet.walk.kept_walk import FoundLight, KeptWalk
@@ -99,7 +100,8 @@ def helper(
 
     def keep_busy() -> None:
         # There are no more batches, or the helper has ended.
-        with contextlib.suppress(IndexError, OSError, EOFError, ValueError, pickle.UnpicklingError):
+        nothing_left = contextlib.suppress(IndexError, OSError, EOFError, ValueError, pickle.UnpicklingError)
+        with nothing_left, broken_pipes_raise():
             to_helper.write(packed)
             to_helper.flush()
             pickle.load(from_helper)  # That it is ready.
@@ -118,7 +120,7 @@ def helper(
         process.wait()
         thread.join()
         for pipe in (to_helper, from_helper):
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError), broken_pipes_raise():
                 pipe.close()
 
 
