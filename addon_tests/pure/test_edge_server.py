@@ -363,6 +363,12 @@ def test_a_misspelt_name_in_the_query_or_among_the_headers_is_refused_and_change
     assert server.ask("GET", "/health?from=monitor")[0] == 200
 
 
+@pytest.mark.parametrize("said", ["close", "TE, close", "close, TE", "TE\r\nConnection: close"])
+def test_a_connection_is_closed_where_close_is_among_what_is_said_of_it(server, said):
+    answer = server.raw(f"GET /health HTTP/1.1\r\nHost: xihe\r\nConnection: {said}\r\n\r\n".encode(), timeout_s=1)
+    assert answer.startswith(b"HTTP/1.1 200") and b"\r\nConnection: close\r\n" in answer
+
+
 @pytest.mark.parametrize("path", ["/", "/health", "/metrics", "/openapi.json"])
 def test_head_is_answered_as_get_without_the_body(server, path):
     # Load balancers and `curl -I` ask so whether a server is there.

@@ -59,8 +59,11 @@ class Request(httputil.HTTPMessageDelegate):
             target = "/" + target.partition("://")[2].partition("/")[2]
         self.path, _, self.query = target.partition("?")
         self.headers = headers
-        said = headers.get("Connection", "").lower()
-        self._ending = said if said == ENDINGS.get(start_line.version) else ""
+        said = [one.strip().lower() for one in headers.get("Connection", "").split(",")]
+        self._ending = said[0] if said == [ENDINGS.get(start_line.version)] else ""
+        if "close" in said:
+            # Tornado reads it only where it stands alone.
+            self._ending, self._connection._disconnect_on_finish = "close", True
         self._server.expect(self._connection.stream, self._server.settings.body_s)
         announced = headers.get("Content-Length", "")
         if len(announced) > 4 and announced.isdecimal() and int(announced[:18]) > MAX_BODY_BYTES:
