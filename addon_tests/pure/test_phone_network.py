@@ -133,3 +133,11 @@ def test_luck_depends_on_seed_frame_and_position_and_on_nothing_else():
 
 def test_a_position_that_never_asked_has_no_light():
     assert EstimatesUnderWay(None, 0).in_force("nobody", 1.0) is None
+
+
+def test_of_estimates_that_were_asked_for_at_the_same_time_the_last_one_is_in_use():
+    """As in a session whose frames have no times."""
+    under_way, estimate = EstimatesUnderWay(None, 0), LightEstimate(np.zeros((9, 3)), 1.0, 0.5, "test")
+    for frame in range(3):
+        under_way.ask("a", estimate, frame=frame, asked_s=0.0, payload_bytes=0)
+        assert under_way.in_force("a", 0.0).frame == frame

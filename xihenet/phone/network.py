@@ -13,6 +13,7 @@ the time. What a request suffers comes from (seed, frame, position) alone, so a 
 
 from __future__ import annotations
 
+import bisect
 import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -155,12 +156,13 @@ class EstimatesUnderWay:
     def __init__(self, link: Link | None, seed: int) -> None:
         self.link, self.seed = link, seed
         self._requests: dict[str, list[Request]] = {}
+        """By position, in the order in which they were asked for."""
 
     def ask(self, name: str, estimate: LightEstimate, *, frame: int, asked_s: float, payload_bytes: int) -> Request:
         """Send for `estimate` of position `name`, made from the frame of number `frame` at `asked_s`."""
         arrival_s = float(arrival_frames([asked_s], payload_bytes, self.link, self._rng(name, frame))[0])
         request = Request(estimate, frame, asked_s, arrival_s)
-        self._requests.setdefault(name, []).append(request)
+        bisect.insort(self._requests.setdefault(name, []), request, key=lambda one: one.asked_s)
         return request
 
     def in_force(self, name: str, time_s: float) -> Request | None:
@@ -188,10 +190,10 @@ class EstimatesUnderWay:
 
     def _there(self, name: str, time_s: float) -> Iterator[Request]:
         """The valid estimates that have been in force up to `time_s`, the last one first."""
-        there = [r for r in self._requests.get(name, ()) if r.estimate.is_valid and r.arrival_s <= time_s]
         earliest_s = math.inf
-        for request in sorted(there, key=lambda request: request.asked_s, reverse=True):
-            if request.arrival_s < earliest_s:  # Else a younger one was there before it.
+        for request in reversed(self._requests.get(name, ())):
+            is_there = request.estimate.is_valid and request.arrival_s <= time_s
+            if is_there and request.arrival_s < earliest_s:  # Else a younger one was there before it.
                 earliest_s = request.arrival_s
                 yield request
 
