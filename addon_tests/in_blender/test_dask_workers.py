@@ -155,6 +155,21 @@ def test_a_whole_blender_which_has_no_package_knows_its_version(monkeypatch):
     assert dask_workers.blender_version() is None
 
 
+def test_a_scheduler_that_is_lost_is_one_line_and_nothing_has_failed(scripts):
+    from distributed import LocalCluster
+
+    (scripts / "waits.py").write_text("import time; time.sleep(0.3)")
+    bare = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
+    with LocalCluster(n_workers=1, **bare) as cluster, open_dask_workers(None, cluster.scheduler_address) as workers:
+        job = workers.run([asked("waits", "1"), asked("waits", "2")], "piece of work")
+        next(job)
+        (to_us,) = cluster.scheduler.client_comms.values()
+        cluster.loop.add_callback(to_us.comm.abort)
+        with pytest.raises(UserError, match="cannot be reached any more: start it"):
+            list(job)
+        assert workers.failed == {}
+
+
 def test_an_address_that_is_none_is_one_line(monkeypatch):
     monkeypatch.setattr("xihe_blender.lab.workers.dask_workers.CONNECT_S", 1.0)
     for address in ("nowhere", "", "foo://127.0.0.1:1", "tls://127.0.0.1:1", "tcp://127.0.0.1:1"):

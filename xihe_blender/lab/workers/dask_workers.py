@@ -121,7 +121,8 @@ class DaskWorkers:
         try:
             yield from self._watched(futures, noun)
         finally:
-            self.client.cancel(list(futures.values()))
+            with contextlib.suppress(OSError):  # There is nobody to tell.
+                self.client.cancel(list(futures.values()))
 
     def _watched(self, futures: Mapping[str, Future[str | None]], noun: str) -> Iterator[Progress]:
         n_done, alone_since = -1, time.monotonic()
@@ -129,10 +130,15 @@ class DaskWorkers:
             ended = [name for name, future in futures.items() if future.done()]
             self.shares |= dict.fromkeys(ended, 1.0)
             n_done = len(ended)
+            if any(futures[name].cancelled() for name in ended):  # Dask does so to all where the connection is gone.
+                raise self._lost()
             share = sum(self.shares.get(name, 0.0) for name in futures) / len(futures)
             # By the percent, or a batch of thousands would tell of nothing else.
             done = len(futures) * math.floor(100 * share) / 100
-            n_workers = len(self.client.ncores())
+            try:
+                n_workers = len(self.client.ncores())
+            except OSError as error:
+                raise self._lost() from error
             told = f"{n_done} of {format_count(len(futures), noun)}, {format_count(n_workers, 'worker')}"
             yield Progress(done, len(futures), told)
             alone_since = time.monotonic() if n_workers else alone_since
@@ -142,6 +148,13 @@ class DaskWorkers:
                 time.sleep(POLL_S)
         reasons = {name: _why_it_failed(future) for name, future in futures.items()}
         self.failed |= {name: reason for name, reason in reasons.items() if reason is not None}
+
+    def _lost(self) -> UserError:
+        address = self.client.scheduler.address
+        return UserError(
+            f"the scheduler at {address} cannot be reached any more: start it and its workers again where they have "
+            "ended, then run the same command again to resume"
+        )
 
     def _hear(self, event: tuple[Any, tuple[str, float]]) -> None:
         # What is tried again starts over, but what it had rendered is there.
