@@ -82,6 +82,7 @@ class TransportSurveyor:
         self.walked = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
         self.found = TransportSurvey()
         self.placements: set[tuple[int, int]] = set()
+        self.noted: dict[int, set[str]] = {}  # what each list of `found` holds, by its id
         self.leaky: set[str] = set()  # surfaces, in words, which light passes in ways that the walks do not
         self.views: list[Ray] = rays_all_round(positions)
         self.reached: list[Ray] = []  # places on surfaces that the walks met, with their normals
@@ -208,9 +209,11 @@ class TransportSurveyor:
             self.found.carried.append(weights)
             self.reached += reached
 
-    @staticmethod
-    def _note(words: list[str], word: str) -> None:
-        if word not in words:
+    def _note(self, words: list[str], word: str) -> None:
+        """Add a word that `words` lacks; to look for it there would take minutes with tens of thousands of objects."""
+        noted = self.noted.setdefault(id(words), set(words))
+        if word not in noted:
+            noted.add(word)
             words.append(word)
 
 
