@@ -333,8 +333,8 @@ def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
 
     AR toolkits derive their ambient estimate from the camera's picture, so light beyond white is lost to it as well.
     """
-    shares = np.stack([np.bincount(srgb_u8[..., channel].reshape(-1), minlength=256) for channel in range(3)])
-    shares = shares / srgb_u8[..., 0].size
+    counts = np.stack([np.bincount(srgb_u8[..., channel].reshape(-1), minlength=256) for channel in range(3)])
+    shares = counts / srgb_u8[..., 0].size
     mean: ArrayF64 = (shares * srgb_to_linear(np.arange(256) / 255.0)).sum(axis=1) / exposure
     return mean
 

@@ -265,7 +265,7 @@ def _is_worked_out(modifier: bpy.types.Modifier) -> bool:
         zones = [bake for bake in modifier.bakes if bake.node.type == "SIMULATION_OUTPUT"]
         return not all(_is_zone_baked(modifier, zone) for zone in zones)
     if modifier.type == "FLUID":
-        return modifier.fluid_type == "DOMAIN" and modifier.domain_settings.cache_type == "REPLAY"
+        return bool(modifier.fluid_type == "DOMAIN" and modifier.domain_settings.cache_type == "REPLAY")
     if modifier.type in ("CLOTH", "SOFT_BODY"):
         caches = [modifier.point_cache]
     elif modifier.type == "PARTICLE_SYSTEM" and modifier.particle_system.use_hair_dynamics:
@@ -293,7 +293,7 @@ def _is_zone_baked(modifier: bpy.types.NodesModifier, zone: bpy.types.NodesModif
     zone.use_custom_path, zone.directory = True, f"{bpy.app.tempdir}nothing"
     which = {"session_uid": modifier.id_data.session_uid, "modifier_name": modifier.name, "bake_id": zone.bake_id}
     try:
-        return bpy.ops.object.geometry_node_bake_pack_single(**which) == {"FINISHED"}
+        return bool(bpy.ops.object.geometry_node_bake_pack_single(**which) == {"FINISHED"})
     except RuntimeError:
         return False
     finally:
