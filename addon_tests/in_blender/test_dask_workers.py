@@ -59,8 +59,8 @@ def test_a_process_that_dies_is_tried_again(scheduler, scripts):
 
 
 def test_a_blender_ends_when_nobody_reads_it_any_more():
-    asks = "from xihe_blender.lab.workers.processes import end_without_a_reader; end_without_a_reader(1)"
-    with subprocess.Popen([sys.executable, "-c", asks], stdout=subprocess.PIPE) as process:
+    work = "import time; from xihe_blender.lab.workers.processes import *\nwith only_with_a_reader(1): time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", work], stdout=subprocess.PIPE) as process:
         process.stdout.read(1)
         process.stdout.close()
         assert process.wait(20) == EXIT_CRASHED

@@ -262,7 +262,8 @@ def _is_worked_out(modifier: bpy.types.Modifier) -> bool:
     if not modifier.show_render:
         return False
     if modifier.type == "NODES":
-        zones = [bake for bake in modifier.bakes if bake.node.type == "SIMULATION_OUTPUT"]
+        # Of a library that is missing there is no node.
+        zones = [bake for bake in modifier.bakes if bake.node and bake.node.type == "SIMULATION_OUTPUT"]
         return not all(_is_zone_baked(modifier, zone) for zone in zones)
     if modifier.type == "FLUID":
         return bool(modifier.fluid_type == "DOMAIN" and modifier.domain_settings.cache_type == "REPLAY")
@@ -281,11 +282,9 @@ def _is_zone_baked(modifier: bpy.types.NodesModifier, zone: bpy.types.NodesModif
 
     What is in the .blend already can be packed from a folder that holds nothing.
     """
-    own = modifier.bake_directory and str(Path(modifier.bake_directory, str(zone.bake_id)))
-    folder = zone.directory if zone.use_custom_path else own
-    if folder and matching(
-        absolute_pattern(str(Path(pattern_of(modifier.id_data, folder), "meta", "*")), blend_folder())
-    ):
+    folder, own = (zone.directory, "") if zone.use_custom_path else (modifier.bake_directory, str(zone.bake_id))
+    baked = Path(pattern_of(modifier.id_data, folder), own, "meta", "*")
+    if folder and matching(absolute_pattern(str(baked), blend_folder())):
         return True
     if not hasattr(zone, "bake_target"):  # Blender 4.2 packs none.
         return False

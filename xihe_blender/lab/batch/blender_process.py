@@ -15,7 +15,6 @@ import json
 import shutil
 import signal
 import sys
-import threading
 from pathlib import Path
 from typing import IO
 
@@ -32,12 +31,11 @@ from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 def main() -> int:
     # Ctrl-C reaches the whole group of processes; the batch decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    from xihe_blender.lab.workers.processes import end_without_a_reader
+    from xihe_blender.lab.workers.processes import only_with_a_reader
 
     scene, seed, folder = sys.argv[1:]
     settings = from_json(BatchSettings, json.load(sys.stdin))
-    with blender_output_aside() as (stdout, stderr):
-        threading.Thread(target=end_without_a_reader, args=(stdout.fileno(),), daemon=True).start()
+    with blender_output_aside() as (stdout, stderr), only_with_a_reader(stdout.fileno()):
         try:
             write_result(Path(scene), int(seed), Path(folder), settings, stdout)
         except (UserError, OSError) as error:

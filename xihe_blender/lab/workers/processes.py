@@ -7,13 +7,15 @@ wait for ever in it, after renders.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import runpy
 import shutil
 import sys
-import time
+import threading
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
@@ -48,17 +50,28 @@ def leave_blender(code: int) -> NoReturn:
     os._exit(code)
 
 
-def end_without_a_reader(pipe: int) -> NoReturn:
-    """End this Blender, from a thread beside its work, within a second of the end of whoever reads `pipe`.
+@contextlib.contextmanager
+def only_with_a_reader(pipe: int) -> Iterator[None]:
+    """End this Blender within a second or two of the end of whoever reads `pipe`, if that comes during the block.
 
     A pipe that goes to somebody tells of their end only when it is written to: a line of nothing, in each second.
     """
-    while True:
-        try:
-            os.write(pipe, b"\n")
-        except OSError:
-            leave_blender(EXIT_CRASHED)
-        time.sleep(1)
+    is_over = threading.Event()
+
+    def write() -> None:
+        while not is_over.wait(1):
+            try:
+                os.write(pipe, b"\n")
+            except OSError:
+                leave_blender(EXIT_CRASHED)
+
+    beside = threading.Thread(target=write, daemon=True)
+    beside.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        beside.join()  # Blender does not end while a thread lives.
 
 
 def _run_module(paths: str, module: str, *arguments: str) -> NoReturn:
