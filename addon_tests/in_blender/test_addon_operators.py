@@ -1,5 +1,6 @@
 """Each operator does what its function does, and says why when it cannot."""
 
+import re
 from pathlib import Path
 
 import bpy
@@ -358,7 +359,7 @@ def test_how_long_says_the_time_of_the_run(tmp_path):
     assert bpy.ops.xihe.measure_run() == {"FINISHED"}
     state = bpy.context.window_manager.xihe
     for said in (state.run_estimate, state.budget_estimate):
-        assert said.startswith("about ") and said.endswith(" on this machine")
+        assert re.fullmatch(r"about \d+ (s|min|h).*", said)
     chosen, known = bpy.context.scene.xihe, (state.run_estimate, state.budget_estimate)
     for name, other in (("preset", "accurate"), ("frame_end", 3), ("others", {"projection"})):
         before = getattr(chosen, name)

@@ -90,7 +90,7 @@ def test_work_of_a_whole_blender_is_done_by_another_of_it(scheduler, scripts, mo
     (scripts / "tells.py").write_text(
         "import json, sys; print(1.0); json.dump(json.load(sys.stdin), open(sys.argv[1], 'w'))"
     )
-    assert own_program("tells") == ()
+    assert own_program("tells") == (sys.executable, "-m", "tells")
     monkeypatch.syspath_prepend(scripts)
     program = tuple(module_command("tells", str(blender)))
     assert run(scheduler, Work("tells", "tells", (str(scripts / "told"),), {"seed": 7}, program)) == {}

@@ -217,6 +217,13 @@ def test_scenes_of_one_name_are_told_apart_by_their_folders(tmp_path):
     assert [(unit.scene, unit.seed) for unit in found.units] == [(name, seed) for name in names for seed in (0, 1)]
 
 
+def test_a_batch_that_is_under_way_is_refused_before_any_worker_is_asked(tmp_path):
+    (tmp_path / "room.blend").write_bytes(b"")
+    options = {"n_workers": None, "scheduler": "nobody", "frontier": None}
+    with BatchFolder(tmp_path).manifest(SETTINGS).held(), pytest.raises(UserError, match="a batch is under way"):
+        next(evaluate_batch([tmp_path / "room.blend"], tmp_path, SETTINGS, (0,), **options))
+
+
 def test_phones_of_the_users_own_go_by_their_files(tmp_path):
     (tmp_path / "hall.blend").write_text("hall")
     units, _ = planned_units([tmp_path / "hall.blend"], (0,))

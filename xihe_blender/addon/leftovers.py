@@ -16,7 +16,7 @@ from xihe_blender.addon.runs_folder import last_part, last_run
 from xihe_blender.apply.datablocks import OF_RUN, ROOM, RUN_BESIDE, lit_scene
 from xihe_blender.apply.lit_scene import remove_lit_collections
 from xihe_blender.errors import UserError
-from xihe_blender.scene.state import WORKING, remove_copied_scene
+from xihe_blender.scene.state import WORKING, evaluate_pending, remove_copied_scene
 
 
 def remove_working_scenes() -> None:
@@ -43,10 +43,7 @@ def _evaluate_unseen() -> None:
     Undo has left without evaluated objects.
     """
     lit = lit_scene()
-    for scene in () if lit is None else filter(None, (lit, lit.get(ROOM))):
-        for layer in scene.view_layers:
-            if layer.depsgraph is not None:
-                layer.update()
+    evaluate_pending(() if lit is None else filter(None, (lit, lit.get(ROOM))))
 
 
 @bpy.app.handlers.persistent

@@ -43,7 +43,6 @@ METHOD_SHARE = 0.34
 PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
 RUN_SCALE = 1.5
-ON_THIS_MACHINE = " on this machine"
 
 ESTIMATES = (
     "How often the light was estimated, all virtual objects counted. Fewer cost less; a changing light needs more"
@@ -277,8 +276,7 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         takes, _ = known_times(context)
         row.operator("xihe.measure_run", text="" if takes else "How Long?", icon="TIME")
         if takes:
-            # The rest would be cut off in a narrow sidebar.
-            row.label(text=as_sentence(takes).removesuffix(ON_THIS_MACHINE), translate=False)
+            row.label(text=as_sentence(takes), translate=False)
         if job.error:
             sentence(context, layout, job.error, icon="ERROR")
         elif not (has_camera(context) or has_virtual_objects(context)):

@@ -29,7 +29,7 @@ from xihe_blender.scene.phone_capture import CAPTURE, SCAN
 from xihe_blender.scene.shader_nodes import Interaction, material_shading
 from xihe_blender.scene.state import animated_paths, remove_copied_scene, show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
-from xihe_blender.scene.virtual_objects import virtual_collection
+from xihe_blender.scene.virtual_objects import listed, virtual_collection
 
 if TYPE_CHECKING:
     from xihenet.io.frame_files import FrameCamera
@@ -235,10 +235,7 @@ def _without_loose_edges(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
 def _seen_in_scene(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
     """All that its first view layer renders, and those of the scenes that are set behind it."""
     while scene is not None:
-        layer = scene.view_layers[0]
-        if layer.layer_collection is None:  # In Blender 5, of a scene that was never shown.
-            layer.update()
-        yield from seen_in(layer.layer_collection)
+        yield from seen_in(listed(scene.view_layers[0]).layer_collection)
         scene = scene.background_set
 
 

@@ -77,9 +77,7 @@ class FolderManifest:
         self.check()
         with contextlib.closing(self._opened_lock()) as lock:
             if not take_lock(lock):
-                raise UserError(
-                    f"{self.what} is under way in {self.folder}: wait for its end, or choose another folder for --out"
-                )
+                raise self.under_way()
             try:
                 self.take()
             except UserError:
@@ -92,6 +90,11 @@ class FolderManifest:
     def is_held(self) -> bool:
         """Whether somebody is at work in the folder."""
         return is_locked(self.file.with_name(HELD))
+
+    def under_way(self) -> UserError:
+        return UserError(
+            f"{self.what} is under way in {self.folder}: wait for its end, or choose another folder for --out"
+        )
 
     def _opened_lock(self) -> IO[bytes]:
         try:

@@ -85,9 +85,9 @@ class RunTime:
 
 
 def format_run_time(seconds: float) -> str:
-    """ "about 3 min on this machine": as exact as it is."""
+    """ "about 3 min": as exact as it is."""
     step_s = 5 if seconds < 55 else 60 if seconds < 3300 else 600
-    return f"about {format_duration(step_s * max(1, round(seconds / step_s)))} on this machine"
+    return f"about {format_duration(step_s * max(1, round(seconds / step_s)))}"
 
 
 def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTime]:

@@ -11,7 +11,7 @@ Rendering also makes an image data-block for its result; it goes if it was not t
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import bpy
@@ -71,9 +71,9 @@ def scene_kept() -> Iterator[None]:
             yield
     finally:
         # A render leaves an evaluation pending, which would write over what is put back.
-        _evaluate_pending()
+        evaluate_pending(bpy.data.scenes)
         put_back(before)
-        _evaluate_pending()
+        evaluate_pending(bpy.data.scenes)
 
 
 @contextlib.contextmanager
@@ -88,9 +88,9 @@ def no_render_result_left() -> Iterator[None]:
                 bpy.data.images.remove(image)
 
 
-def _evaluate_pending() -> None:
-    """Bring every view layer that is in use up to date, each at its own scene's frame."""
-    for layer in [layer for scene in bpy.data.scenes for layer in scene.view_layers]:
+def evaluate_pending(scenes: Iterable[bpy.types.Scene]) -> None:
+    """Bring every view layer of `scenes` that is in use up to date, each at its own scene's frame."""
+    for layer in [layer for scene in scenes for layer in scene.view_layers]:
         if layer.depsgraph is not None:
             layer.update()
 

@@ -97,7 +97,7 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
         homes = room & set(item.users_collection)
         if homes:
             _remember_homes(scene, item, homes)
-        showing = [other for other in bpy.data.scenes if other.library is None and item in set(other.objects)]
+        showing = [other for other in item.users_scene if other.library is None]
         for home in homes:
             home.objects.unlink(item)
         _lend(item, [other for other in showing if item not in set(other.objects)])
@@ -176,10 +176,14 @@ def _remember_homes(scene: bpy.types.Scene, item: bpy.types.Object, homes: set[b
 
 
 def _layers_without(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[bpy.types.ViewLayer]:
-    for layer in scene.view_layers:
-        if layer.layer_collection is None:  # In Blender 5, of a scene that was never shown.
-            layer.update()
-    return [layer for layer in scene.view_layers if not set(objects) & set(layer.objects)]
+    return [layer for layer in map(listed, scene.view_layers) if not set(objects) & set(layer.objects)]
+
+
+def listed(layer: bpy.types.ViewLayer) -> bpy.types.ViewLayer:
+    """`layer`, with its collections and objects: in Blender 5 one of a scene that was never shown has none before."""
+    if layer.layer_collection is None:
+        layer.update()
+    return layer
 
 
 def _lend(item: bpy.types.Object, others: Sequence[bpy.types.Scene]) -> None:

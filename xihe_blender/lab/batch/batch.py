@@ -41,8 +41,9 @@ def evaluate_batch(
     measured = read_frontier(frontier, folder)
     kept = BatchFolder(folder.resolve())
     manifest = kept.manifest(settings)
-    if not manifest.is_held:
-        kept.forget_what_made_nothing()
+    if manifest.is_held:
+        raise manifest.under_way()
+    kept.forget_what_made_nothing()
     manifest.check()
     units, failed = planned_units(scenes, seeds)
     missing = [unit for unit in units if kept.result(unit) is None]

@@ -209,9 +209,8 @@ def _pass_on(process: subprocess.Popen[str], work: Work) -> None:
 
 
 def own_program(module: str) -> tuple[str, ...]:
-    """What starts `module` on this machine: a whole Blender starts another of itself. Empty without one."""
-    running = sys.modules.get("bpy")
-    if running is None or not running.app.binary_path:
+    """What starts `module` on this machine; empty where Blender is not loaded, which a worker must not do for it."""
+    if "bpy" not in sys.modules:
         return ()
     from xihe_blender.lab.workers.processes import module_command
 

@@ -17,7 +17,7 @@ def scenario(w):
     settings.estimator = longest(choices.estimator_items(None, None))
     settings.use_own_frames = True
     settings.run_folder = str(w.out / "gone")
-    job.run_estimate, job.timed = "about 55 min on this machine", planning_operators.timed(bpy.context.scene)
+    job.run_estimate, job.timed = "about 55 min", planning_operators.timed(bpy.context.scene)
     job.error = "virtual object 'A Vase with a Long Name' is also in collection 'Furniture': unlink it from there"
     yield from w.open_tab()
     yield 1
