@@ -185,9 +185,9 @@ class PositionBuffers:
         return PositionBuffers(in_sight(persistent, temporary), persistent)
 
     def last_seen(self) -> UnitSphereCloud:
-        """Every anchor as it was last seen, whether or not the light in force was made from it; without surfaces."""
+        """Every anchor as it was last seen, whether or not the light in use was made from it; without surfaces."""
         return _merged(self.persistent, self.temporary, None)
 
     def coverage(self) -> float:
-        """Share of the anchors that are known, whether or not the light in force was made from them."""
+        """Share of the anchors that are known, whether or not the light in use was made from them."""
         return float((self.persistent.is_set | self.temporary.is_set).mean()) if len(self.temporary) else 0.0

@@ -1,6 +1,6 @@
 """The chain of one session: unproject, sample, merge, trigger, encode, estimate, at every estimation position.
 
-`XiheController` holds all the state there is: the buffers, the last decision and the light in force of each position.
+`XiheController` holds all the state there is: the buffers, the last decision and the light in use of each position.
 Capture comes before this chain, apply and compare after it; they belong to whoever has a camera and a picture.
 
 Paper: section 5 and its table of classes; section 4.3.2 for active positions.
@@ -67,7 +67,7 @@ class ControllerSettings:
     has_key_light: bool = False
     # Whether they say what was seen on the finer lattice of reflections, see `xihenet.light.reflections`.
     has_reflections: bool = False
-    # What becomes of the light in force until the next estimate: carried on as the room's light changes, see
+    # What becomes of the light in use until the next estimate: carried on as the room's light changes, see
     # `xihenet.light.carried_light`, or kept as it was estimated, as in the paper.
     between_estimates: BetweenEstimates = "kept"
 
@@ -133,7 +133,7 @@ class XiheController:
         return {name: position.position_m for name, position in self._positions.items()}
 
     def light(self, name: str) -> LightEstimate | None:
-        """The light in force at a position: its last valid estimate, or None before there is one.
+        """The light in use at a position: its last valid estimate, or None before there is one.
 
         Carried on to the last frame that the position has learned from, where the settings say so.
         """
@@ -141,7 +141,7 @@ class XiheController:
         return position.light if position.carried is None else position.carried.light
 
     def gain(self, name: str) -> ArrayF64:
-        """(3,) what the last estimate is multiplied by to be the light in force; 1 without one, and where kept."""
+        """(3,) what the last estimate is multiplied by to be the light in use; 1 without one, and where kept."""
         carried = self._positions[name].carried
         return np.ones(3) if carried is None else carried.gain
 
@@ -280,7 +280,7 @@ class XiheController:
             look.estimate = light
 
     def _answered(self, look: _Look) -> StepReport:
-        """After the answer, if one was asked for: the light in force, and what was done."""
+        """After the answer, if one was asked for: the light in use, and what was done."""
         position, invalid = look.position, look.sampled.invalid
         estimate, unknown_because = look.estimate, "" if look.sampled.is_set.any() else "nothing_seen"
         if estimate is not None and look.context is not None:
@@ -390,16 +390,16 @@ class _Position:
     decision: TriggerDecision | None = None
     light: LightEstimate | None = None
     lit_at_m: ArrayF64 | None = None
-    """Where the light in force was estimated."""
+    """Where the light in use was estimated."""
     reflected: UnitSphereCloud | None = None
     """All that was seen, on the finer lattice of reflections, in which the key light is looked for too."""
     carried: CarriedLight | None = None
-    """The light in force, where the session carries it on to the next estimate."""
+    """The light in use, where the session carries it on to the next estimate."""
     seen: UnitSphereCloud | None = None
     """The last frame, of which a position has learned."""
 
     def see(self, sampled: UnitSphereCloud, lattice: AnchorLattice) -> None:
-        """Have the light in force go on to a frame."""
+        """Have the light in use go on to a frame."""
         before, self.seen = self.seen, sampled
         if self.carried is not None:
             self.carried = self.carried.after(sampled, before, lattice.directions)

@@ -15,7 +15,7 @@ clouds say from where an anchor was seen (`UnitSphereCloud.surfaces`), one seen 
 change only that part counts which a change of the light explains, the factor by which nearly all surfaces changed
 alike (`light_change`); diffuse surfaces keep their colour whatever the angle, so without such a factor it is none. What
 lies at another distance then is another surface, and is not asked at all. The factor is looked for twice: against what
-the light in force was made from, which notices a lamp that dims slowly, and against what was last seen of each surface
+the light in use was made from, which notices a lamp that dims slowly, and against what was last seen of each surface
 (`LastSeen`). There a lamp that dims at once stands out however long the walk is: reflections move little from frame to
 frame, while in a walk around a mirroring table nobody agrees on anything with the first one. Rejected: asking only
 anchors seen from the same angle, which in a walk are too few to notice a lamp; and their median as the light's change,
@@ -144,7 +144,7 @@ def decide_trigger(
     last: TriggerDecision | None = None,
     last_seen: LastSeen | None = None,
 ) -> TriggerDecision:
-    """Compare what the light in force was made from with what has been seen since.
+    """Compare what the light in use was made from with what has been seen since.
 
     The clouds and the lattice have N anchors, else ValueError. `previous` is the persistent cloud, None or without a
     set anchor before the first estimate, and `current` the temporary one; if nothing is set, nothing fires. `last` is

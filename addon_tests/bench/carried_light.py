@@ -1,16 +1,16 @@
-"""What does carrying the light between estimates do to the light in force? A table over runs and recordings.
+"""What does carrying the light between estimates do to the light in use? A table over runs and recordings.
 
     python addon_tests/bench/carried_light.py out/light_intensity out/light_temperature [--estimator projection]
     python addon_tests/bench/carried_light.py --lamp RECORDING ...
 
-For a finished previs run and each link: the mean SHC RMSE against the rendered truth of the light in force where it is
+For a finished previs run and each link: the mean SHC RMSE against the rendered truth of the light in use where it is
 kept from estimate to estimate, where it is multiplied by the ratio of two readings of the ambient sensor, and where it
 is carried as `xihenet.light.carried_light` does; and of an estimate made and there in every frame. An estimate over a
 link comes in the first frame after its arrival.
 
 With `--lamp`, for a recording whose light stands still: the same under a lamp that we put in, the pictures times a
 factor. Its light is known without any truth: that of every frame's own estimate. `off` is the relative difference
-(norms of coefficients) of the light in force from it, mean over the frames after the first estimate; `flicker` is the
+(norms of coefficients) of the light in use from it, mean over the frames after the first estimate; `flicker` is the
 change of the light from frame to frame over those of the second half in which no estimate came, mean and most, as a
 share of it. "none" leaves the light alone. Nothing is rendered.
 """
@@ -50,7 +50,7 @@ Lights = Mapping[str, ArrayF64]
 
 @dataclass(frozen=True)
 class Shown:
-    """The light in force at a position after a frame, by mode; `is_new` where an estimate has come since the last."""
+    """The light in use at a position after a frame, by mode; `is_new` where an estimate has come since the last."""
 
     frame: int
     position: str

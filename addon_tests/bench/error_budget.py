@@ -53,7 +53,7 @@ from xihe_blender.previs.budget_chain import (
     SessionParts,
     Sight,
     exposure_without_clipping,
-    lights_in_force,
+    lights_in_use,
     sight,
     sights_of_path,
 )
@@ -102,7 +102,7 @@ class Session:
 
 @dataclass
 class Case:
-    """One object of one scene; `light_of` gives the light in force at its moments, {(position, frame): (9, 3)}."""
+    """One object of one scene; `light_of` gives the light in use at its moments, {(position, frame): (9, 3)}."""
 
     file: Path
     out: Path
@@ -160,7 +160,7 @@ class Case:
         return {
             (probe.name, moments[frame]): light.sh / run.exposure
             for probe in run.plan.probes
-            for frame, light in lights_in_force(run, probe, parts, list(moments)).items()
+            for frame, light in lights_in_use(run, probe, parts, list(moments)).items()
         }
 
     def look_frames(self) -> set[int]:
@@ -342,7 +342,7 @@ def mean_square(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def rendered_anew(case: Case, part: str) -> Lights:
-    """The light in force with `part` perfect, "" none of them."""
+    """The light in use with `part` perfect, "" none of them."""
     if part == "field_of_view":
         return case.light_of_looks(part, lambda _: None, is_phones=True)
     if part == "coverage":

@@ -88,7 +88,7 @@ def degrees(one: ArrayF64, other: ArrayF64) -> float:
 
 
 def estimates(run: PreparedRun, walked: WalkedPath, probe: Probe) -> Iterator[tuple[int, int, UnitSphereCloud]]:
-    """Of each estimate for the probe: its frame, the first at which it is in force, and all that was seen up to it."""
+    """Of each estimate for the probe: its frame, the first at which it is in use, and all that was seen up to it."""
     known, clouds, last = UnitSphereCloud.empty(len(LATTICE)), {}, None
     for entry in walked.frames:
         told = next((one for one in entry.probes if one.name == probe.name), None)

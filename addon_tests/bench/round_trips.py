@@ -4,7 +4,7 @@
     python addon_tests/bench/round_trips.py ROOM
 
 For each layout the largest error of depth, in how many of the session's steps its trigger decides as for the session
-itself, and how far the light in force is from that of the session, as a share of it: mean and median over frames and
+itself, and how far the light in use is from that of the session, as a share of it: mean and median over frames and
 places. Then the same against the session whose depth alone was rounded as the layout rounds it: what writing and
 reading lose beside that. The first row is the session with depth a ten-thousandth longer, which no sensor could tell.
 """

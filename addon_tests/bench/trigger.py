@@ -3,7 +3,7 @@
     python addon_tests/bench/trigger.py out/living_room out/light_temperature ...
 
 For each setting and run: the share of steps that made an estimate, for which reasons, and the mean SHC RMSE of the
-light in force against the rendered truth. Theta lies above the noise of the captures, as in the run itself. With a
+light in use against the rendered truth. Theta lies above the noise of the captures, as in the run itself. With a
 view angle of 180 degrees the trigger asks a surface whatever the angle it is seen from. Nothing is rendered.
 """
 
@@ -67,7 +67,7 @@ def read_run(folder: Path) -> Recorded:
 
 
 def walk(recorded: Recorded, settings: TriggerSettings) -> tuple[Counter[str], int, float]:
-    """How many steps fired, by reason, of how many, and the mean error against truth of the light in force."""
+    """How many steps fired, by reason, of how many, and the mean error against truth of the light in use."""
     chain = ControllerSettings(settings, reference_exposure=recorded.exposure)
     known = [(step, error) for _, step, error in steps_of(recorded, "projection", chain) if error is not None]
     reasons = Counter(step.decision.reason for step, _ in known)
@@ -77,7 +77,7 @@ def walk(recorded: Recorded, settings: TriggerSettings) -> tuple[Counter[str], i
 def steps_of(
     recorded: Recorded, estimator: str, chain: ControllerSettings
 ) -> Iterator[tuple[RgbdFrame, StepReport, float | None]]:
-    """Each step of a session, and the SHC RMSE of the light that is then in force; None where there is none yet."""
+    """Each step of a session, and the SHC RMSE of the light that is then in use; None where there is none yet."""
     controller = XiheController(LocalBackend(estimators.load(estimator)), chain)
     for name, position in recorded.positions.items():
         controller.add_position(name, position)

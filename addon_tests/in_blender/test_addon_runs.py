@@ -25,7 +25,7 @@ from xihe_blender.addon.results_in_blender import (
     apply_results,
     go_to_trigger,
     left_out,
-    light_in_force,
+    light_in_use,
     remove_everything,
     show_comparison,
     show_light,
@@ -239,10 +239,10 @@ def test_the_light_of_the_results_is_the_one_that_the_run_put_on_the_timeline(sh
         for frame in results.settings.frames:
             on_timeline = coefficients[max(known for known in coefficients if known <= frame)]
             change = max((one for one in results.lights[name] if one.frame <= frame), key=lambda one: one.frame)
-            np.testing.assert_array_equal(light_in_force(results, name, frame), change.sh)
+            np.testing.assert_array_equal(light_in_use(results, name, frame), change.sh)
             np.testing.assert_allclose(rest_of(light_of_change(change)), on_timeline, rtol=1e-6, atol=1e-6)
     with pytest.raises(ValueError, match=r"that the run lit \(Ball, Board\), got 'Chair'"):
-        light_in_force(results, "Chair", 1)
+        light_in_use(results, "Chair", 1)
 
 
 def test_removing_leaves_the_file_as_before_the_run_and_applying_again_gives_what_it_left(done, shown):
@@ -330,7 +330,7 @@ def test_a_saved_file_keeps_its_images_without_the_run(shown):
     expected = {name: colours(name) for name in (COMPARISON_NAME, "Xihe Light Ball", "Xihe Light Board")}
     assert all(image_named(name).packed_file is not None for name in expected)
     results = read_results(shown)
-    panorama = evaluate_panorama(light_in_force(results, "Ball", 1), 64, 128) / results.settings.reference_exposure
+    panorama = evaluate_panorama(light_in_use(results, "Ball", 1), 64, 128) / results.settings.reference_exposure
     np.testing.assert_allclose(np.sort(expected["Xihe Light Ball"], axis=None), np.sort(panorama, axis=None), rtol=1e-4)
     assert np.ptp(expected[COMPARISON_NAME]) > 0.3
 
@@ -427,7 +427,7 @@ def test_going_from_trigger_to_trigger_shows_the_light_of_each(shown):
     exposure = results.settings.reference_exposure
     for frame in frames:
         assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"FINISHED"} and scene.frame_current == frame
-        mean = evaluate_panorama(light_in_force(results, "Ball", frame), 64, 128).mean() / exposure
+        mean = evaluate_panorama(light_in_use(results, "Ball", frame), 64, 128).mean() / exposure
         assert colours("Xihe Light Ball").mean() == pytest.approx(mean, rel=1e-4)
     assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"CANCELLED"} and scene.frame_current == frames[-1]
     for frame in reversed(frames[:-1]):

@@ -91,7 +91,7 @@ def test_a_budget_has_every_part_and_leaves_the_scene_as_it_was(whole):
 
 
 @pytest.mark.slow
-def test_the_light_in_force_is_that_of_a_run(whole, tmp_path):
+def test_the_light_in_use_is_that_of_a_run(whole, tmp_path):
     shutil.copytree(whole[0], tmp_path / "budget")
     scene = room_with_a_virtual_sphere(3)
     (item,) = budget(scene, tmp_path / "budget", NOISY, n_moments=1).objects

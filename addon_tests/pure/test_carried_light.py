@@ -123,7 +123,7 @@ def session(between="carried", trigger=RARELY, **more):
 
 
 def walk(controller, lights, yaws):
-    """The light in force after each frame."""
+    """The light in use after each frame."""
     for i, (light, yaw) in enumerate(zip(lights, yaws, strict=True)):
         controller.step(looking(yaw, light, i), active=["Ball"])
         yield controller.light("Ball")

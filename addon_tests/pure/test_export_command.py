@@ -70,7 +70,7 @@ def test_it_needs_no_blender(run):
     assert str(run / "exports" / "three" / "three.json") in done.stdout
 
 
-def test_the_light_in_force_is_written_as_the_platform_has_it(run):
+def test_the_light_in_use_is_written_as_the_platform_has_it(run):
     assert export(run, "--to", "three") == 0
     ball, vase = written(run, "three")["lights"]
     assert (ball["object"], ball["frame"], vase["object"], vase["frame"]) == ("Ball", 3, "My Vase", 2)

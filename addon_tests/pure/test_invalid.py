@@ -1,4 +1,4 @@
-"""Nothing is left out, clamped or unknown without a count and a reason, from the pixel to the light in force."""
+"""Nothing is left out, clamped or unknown without a count and a reason, from the pixel to the light in use."""
 
 import json
 from collections import Counter

@@ -1,4 +1,4 @@
-"""The network: when answers arrive, and the light in force against a plain look through all that are under way."""
+"""The network: when answers arrive, and the light in use against a plain look through all that are under way."""
 
 import itertools
 from dataclasses import replace

@@ -361,8 +361,8 @@ def test_the_last_coefficients_of_a_probe_are_in_the_page(tmp_path):
 def test_a_run_without_a_probe_in_view_says_so(tmp_path):
     results, outputs = synthetic(tmp_path, n_frames=6, inactive=tuple(range(6)))
     text = Page(page_of(results, outputs)).text
-    assert "Over 6 frames the phone made no estimates: no probe was in view." in text
-    assert text.count("no probe in view in any frame") == 5
+    assert "Over 6 frames the phone made no estimates: no position was in view." in text
+    assert text.count("no position in view in any frame") == 5
 
 
 # ------------------------------------------------------------------------------------------------- plots and numbers
@@ -374,7 +374,7 @@ def test_hovering_a_frame_tells_each_probes_value(tmp_path):
     for frame in results["frames"]:
         for probe in frame["probes"]:
             assert f"{probe['name']}: {format_number(probe['shc_rmse'])}" in whole
-    assert whole.count("frame 3 (0.07\u202fs)\nno probe in view") == 5
+    assert whole.count("frame 3 (0.07\u202fs)\nno position in view") == 5
 
 
 def test_what_is_undefined_or_out_of_view_is_a_gap_in_the_curve(tmp_path):

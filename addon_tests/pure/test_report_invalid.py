@@ -38,7 +38,8 @@ def test_each_reason_has_a_row_with_its_share_and_what_became_of_it():
     shares = [re.sub(r"\s", " ", row[1]) for row in rows]
     assert shares == ["25 (12 %)", "10 (5.0 %)", "1 (0.5 %)", "5 (2.5 %)", "3"]
     assert [row[3] for row in rows] == [
-        "light from far away", "light from far away", "gave no point", "used after clamping", "left out at that probe",
+        "light from far away", "light from far away", "gave no point", "used after clamping",
+        "left out at that position",
     ]  # fmt: skip
     assert "<code>range</code>" in rows[1][2] and "no direction" in rows[4][2]
 
@@ -56,7 +57,7 @@ def test_a_light_that_was_kept_is_named_with_its_frames_and_its_source():
 
 def test_directions_that_followed_a_change_of_the_light_are_told_as_a_guess():
     (row,) = invalid_rows(results([frame(1)], n_followed=1234))
-    assert row[0] == "directions around probes" and row[1] == "1,234" and "a guess" in row[3]
+    assert row[0] == "directions around positions" and row[1] == "1,234" and "a guess" in row[3]
 
 
 words = st.sampled_from([*LEFT_OUT, *CLAMPED, *UNKNOWN, "dark_holes", "<b>", ""])

@@ -1,4 +1,4 @@
-"""File > Import > Phone Capture: the recording of a phone becomes a part of the open scene."""
+"""File > Import > Phone Recording: the recording of a phone becomes a part of the open scene."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UP = (
 
 class XIHE_OT_import_capture(Action, bpy.types.Operator):
     bl_idname = "xihe.import_capture"
-    bl_label = "Import Phone Capture"
+    bl_label = "Import Phone Recording"
     bl_description = (
         "Import a recording with depth: a camera on the phone's path with the pictures behind it, and a scan of what "
         "they show, which catches shadows. Runs then estimate the light from the recording itself"
@@ -67,7 +67,7 @@ class XIHE_OT_import_capture(Action, bpy.types.Operator):
 
 
 def _add_to_menu(menu: Any, _context: bpy.types.Context) -> None:
-    menu.layout.operator(XIHE_OT_import_capture.bl_idname, text="Phone Capture")
+    menu.layout.operator(XIHE_OT_import_capture.bl_idname, text="Phone Recording")
 
 
 _register_classes, _unregister_classes = bpy.utils.register_classes_factory((XIHE_OT_import_capture,))

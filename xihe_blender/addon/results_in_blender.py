@@ -201,7 +201,7 @@ def _changes(lights: Mapping[int, ObjectLight]) -> dict[int, ObjectLight]:
     return kept
 
 
-def light_in_force(results: RunResults, name: str, frame: int) -> ArrayF64:
+def light_in_use(results: RunResults, name: str, frame: int) -> ArrayF64:
     """(9, 3) the light of virtual object `name` at `frame`, carrying the run's exposure; before the first, the first.
 
     ValueError for an object that the run did not light: another one, or where no position was ever in view.
@@ -242,7 +242,7 @@ def show_images(scene: bpy.types.Scene, folder: Path) -> None:
     results, frame = read_results(folder), scene.frame_current
     for name in lit_here(scene, results):
         if results.lights[name]:
-            show_light(name, light_in_force(results, name, frame) / results.settings.reference_exposure)
+            show_light(name, light_in_use(results, name, frame) / results.settings.reference_exposure)
         else:
             # Nothing was ever in view, and a picture of an earlier run would say otherwise.
             _remove_image(f"{LIGHT_PREFIX}{name}")

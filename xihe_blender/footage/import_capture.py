@@ -1,4 +1,4 @@
-"""A recording becomes a part of the open file: what File > Import > Phone Capture and `xihe import` do.
+"""A recording becomes a part of the open file: what File > Import > Phone Recording and `xihe import` do.
 
 One new collection holds a camera on the phone's path with the pictures behind it, a scan of what they show, and an
 empty where the phone looked first. Of the scene only what belongs to playing the recording is set: frames, rate, size
@@ -39,7 +39,7 @@ from xihenet.formats import format_bytes, format_count
 from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import ArrayF64, RgbdFrame
 
-COLLECTION, CAMERA, SCAN_NAME, LOOKED_AT = "Phone Capture", "Phone", "Phone Scan", "Xihe looked here first"
+COLLECTION, CAMERA, SCAN_NAME, LOOKED_AT = "Phone Recording", "Phone", "Phone Scan", "Xihe looked here first"
 LOOKED_AT_M = 1.0
 """In front of the camera, where its first frame has no depth."""
 

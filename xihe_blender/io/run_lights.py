@@ -113,7 +113,7 @@ class LightsAsked:
 
     Parameters
     ----------
-    frame : of the run, whose light in force is wanted; None takes the last light
+    frame : of the run, whose light in use is wanted; None takes the last light
     everything : every light of the path instead
     objects : names of virtual objects; None takes all that have a light
     parts : what is written of a light; None takes what the run made

@@ -1,4 +1,4 @@
-"""The chain of a session, run again from its captures with one part perfect: what light is in force then?
+"""The chain of a session, run again from its captures with one part perfect: what light is in use then?
 
 A session here has one estimation position. It takes in the frames that the phone saw and, where somebody looks around,
 further frames before them, from which it learns as from frames without an object in view. Nothing is rendered.
@@ -41,7 +41,7 @@ class Sight:
 
 
 @dataclass(frozen=True, eq=False)
-class LightInForce:
+class LightInUse:
     """(9, 3) at the session's exposure, and the frame it was estimated from; None for the ambient light."""
 
     sh: ArrayF64
@@ -71,10 +71,8 @@ def sight(seen: RgbdFrame, exposure: float) -> Sight:
     return Sight(seen, unproject_frame(seen, reference_exposure=exposure))
 
 
-def lights_in_force(
-    run: PreparedRun, probe: Probe, parts: SessionParts, moments: Sequence[int]
-) -> dict[int, LightInForce]:
-    """The light in force at `probe` after each of the frames `moments`."""
+def lights_in_use(run: PreparedRun, probe: Probe, parts: SessionParts, moments: Sequence[int]) -> dict[int, LightInUse]:
+    """The light in use at `probe` after each of the frames `moments`."""
     chain = replace(run.settings.chain(run.exposure), trigger=parts.trigger)
     session, lights = PhoneSession([probe], chain, parts.estimator, parts.link, seed=run.settings.seed), {}
     for one in parts.sights:
@@ -86,7 +84,7 @@ def lights_in_force(
             parts.estimator.see(frame, probe.at(frame))
         session.step(one.seen, {}, [probe.name] if probe in run.probes_in_view(frame) else [], one.points)
         if frame in moments:
-            lights[frame] = LightInForce(session.light(probe.name, time_s), session.light_frame(probe.name, time_s))
+            lights[frame] = LightInUse(session.light(probe.name, time_s), session.light_frame(probe.name, time_s))
     return lights
 
 

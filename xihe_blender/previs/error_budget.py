@@ -41,12 +41,12 @@ from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.previs.budget_chain import (
     EVERY_FRAME,
-    LightInForce,
+    LightInUse,
     SessionParts,
     Sight,
     Unclipped,
     exposure_without_clipping,
-    lights_in_force,
+    lights_in_use,
     sight,
     sights_of_path,
     with_radiance,
@@ -215,11 +215,11 @@ class _Budget:
         self.as_it_was = SessionParts(self.sights, run.settings.trigger_in_use, phone.link_in_use, run.estimator, {})
         self.lights = {probe.name: self._lights(probe, self.as_it_was) for probe in run.plan.probes}
 
-    def _lights(self, probe: Probe, parts: SessionParts) -> dict[int, LightInForce]:
-        return lights_in_force(self.run, probe, parts, self.moments[probe.name])
+    def _lights(self, probe: Probe, parts: SessionParts) -> dict[int, LightInUse]:
+        return lights_in_use(self.run, probe, parts, self.moments[probe.name])
 
     def look_frames(self, probe: Probe) -> list[int]:
-        """The frames before which somebody looks around: along the path, and where the light in force comes from.
+        """The frames before which somebody looks around: along the path, and where the light in use comes from.
 
         From several places: what one look cannot see, since a table is in the way, another one may.
         """

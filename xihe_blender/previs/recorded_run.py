@@ -79,7 +79,7 @@ class RecordedSession:
                 if off_m > MOVED_M or np.abs(pose[:3, :3] - own[:3, :3]).max() > TURNED:
                     raise UserError(
                         f"at frame {frame} camera {scene.camera.name!r} is not where the phone was ({off_m:.2f} m off, "
-                        "or turned): choose the imported camera, undo its move, or import the capture again"
+                        "or turned): choose the imported camera, undo its move, or import the recording again"
                     )
 
 

@@ -184,7 +184,7 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterat
 
 
 def carried_light_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
-    """When the light in force went on from its estimate, and how far."""
+    """When the light in use went on from its estimate, and how far."""
     gains = {entry.frame: [gain for one in entry.probes for gain in one.light_gain] for entry in frames}
     numbers = [frame for frame, of_frame in gains.items() if set(of_frame) - {1.0}]
     if numbers:

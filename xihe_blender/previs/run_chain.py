@@ -42,7 +42,7 @@ Lights = dict[str, dict[str, ObjectLight]]
 
 @dataclass(frozen=True, eq=False)
 class WalkedPath:
-    """What a walk brought: frames not yet compared, and the light in force from the first frame captured on."""
+    """What a walk brought: frames not yet compared, and the light in use from the first frame captured on."""
 
     phone: SimulatedPhone
     frames: list[FrameResult] = field(default_factory=list)
@@ -106,7 +106,7 @@ class _Walk:
             is_delivered = frame in self.run.needs.delivered
             entry = FrameResult(frame=frame, time_s=time_s, active=False, is_delivered=is_delivered)
         if entry.active or self.walked.lights:
-            self.walked.lights[frame] = self._lights_in_force(frame, time_s)
+            self.walked.lights[frame] = self._lights_in_use(frame, time_s)
         self.walked.frames.append(entry)
 
     def _captured_frame(self, rendered: FrameRenders, start: float) -> FrameResult:
@@ -152,7 +152,7 @@ class _Walk:
             rendering=rendering(seen.frame, rendered.references, run) if run.has_truth else None,
         )
 
-    def _lights_in_force(self, frame: int, time_s: float) -> Lights:
+    def _lights_in_use(self, frame: int, time_s: float) -> Lights:
         """Light of every method on every virtual object: the mean over the object's estimation positions, and each.
 
         Truth here is the whole light, not clipped, whatever the target: it shows what order 2 can do in the picture.
@@ -182,7 +182,7 @@ class _Walk:
         }
 
     def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, seen: RgbdFrame) -> ProbeResult:
-        """What one step did at one position, and the light in force there after it."""
+        """What one step did at one position, and the light in use there after it."""
         reference, time_s = self.truth.measured(probe.name), seen.time_s
         light = self.session.light(probe.name, time_s)
         truth = None if reference is None else reference.of(self.run.settings.target)

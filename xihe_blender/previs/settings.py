@@ -95,7 +95,7 @@ class PrevisSettings:
     n_anchors : of the unit sphere
     trigger : when a new estimate is worth its cost; None takes PREVIS_TRIGGER, or in a recording its own
     following : how what is out of view follows a change of the light; None lets it be
-    between_estimates : "carried", so that the light in force changes as the light in view does until the next
+    between_estimates : "carried", so that the light in use changes as the light in view does until the next
         estimate is there, or "kept" as it was estimated
     phone : name of a profile, or path of a user's TOML file; see docs/phone.md
     network : name of one of LINKS, over which estimates are asked for; None lets them arrive in their own frame
@@ -197,7 +197,7 @@ class PrevisSettings:
 
     @property
     def noise_aim(self) -> float:
-        """The noise target in force: the user's or the preset's."""
+        """The noise target in use: the user's or the preset's."""
         return self.preset_values.noise_target if self.noise_target is None else self.noise_target
 
     @property

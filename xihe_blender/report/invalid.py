@@ -1,7 +1,7 @@
 """Invalid data of a run, and why: one short table that is always there, and what it does not list in one line.
 
-Pixels are those of the phone's frames, points those that a probe samples: a pixel without a plane depth is left out at
-every probe, so reasons that pixels have are told once, as pixels.
+Pixels are those of the phone's frames, points those that a position samples: a pixel without a plane depth is left out
+at every position, so reasons that pixels have are told once, as pixels.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ def invalid_rows(results: RunResults) -> list[list[str]]:
     n_pixels = math.prod(results.settings.size) * len(results.captured_frames)
     own = {reason: n for reason, n in counts.points.items() if reason not in counts.pixels}
     rows = [_row("pixels", reason, n, n_pixels, _pixels_became(reason)) for reason, n in counts.pixels.items()]
-    rows += [_row("points", reason, n, 0, "left out at that probe") for reason, n in own.items()]
+    rows += [_row("points", reason, n, 0, "left out at that position") for reason, n in own.items()]
     rows += _light_rows(Timeline.of(results)) + _comparison_rows(counts)
     if n_followed:
         why = "out of view while the light in view changed as a whole"
-        rows.append(["directions around probes", f"{n_followed:,}", why, "scaled by the same factor, a guess"])
+        rows.append(["directions around positions", f"{n_followed:,}", why, "scaled by the same factor, a guess"])
     return rows
 
 
@@ -101,7 +101,7 @@ def invalid_otherwise(counts: InvalidCounts) -> str:
         ("every pixel of the phone's frames gave a point", set(pixels) <= set(CLAMPED)),
         ("every point was used", set(points) - set(pixels) <= set(CLAMPED)),
         ("no value was clamped", not {*pixels, *points} & set(CLAMPED)),
-        ("the light was known wherever a probe was in view", not counts.lights),
+        ("the light was known wherever a position was in view", not counts.lights),
         ("every metric had a value and every pixel a hue", not counts.metrics and not counts.hues),
     ]
     true = [words for words, is_so in sound if is_so]

@@ -61,7 +61,7 @@ def _what_was_done(results: RunResults) -> str:
     made = "asked for" if unanswered else "made"
     sentence = f"Over {over} the phone {made} {format_count(n_estimates, 'estimate')}"
     if n_estimates == 0 and not results.active_frames:
-        return f"{sentence}: no probe was in view."
+        return f"{sentence}: no position was in view."
     around = f" of the light around {format_count(n_objects, 'virtual object')}" if n_objects else ""
     return f"{sentence}{around}{unanswered}."
 

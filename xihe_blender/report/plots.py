@@ -1,7 +1,7 @@
 """Plots of what happened frame by frame: light error, change, coverage, milliseconds, payload.
 
-What is undefined is a gap, a value between two gaps is a dot, frames without a probe in view are shaded. Each mark has
-one shape per reason for which an estimate was made. Hovering a frame's column names its values.
+What is undefined is a gap, a value between two gaps is a dot, frames without a position in view are shaded. Each mark
+has one shape per reason for which an estimate was made. Hovering a frame's column names its values.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ CHAIN = {
     "camera path": "the phone walks through the room",
     "capture": "its colour picture and distances are rendered",
     "unproject": "the pixels become coloured points in the room",
-    "sample": "in every direction around a probe, the nearest point is kept",
+    "sample": "in every direction around a position, the nearest point is kept",
     "merge": "what this frame shows is added to what was seen before",
     "trigger": "decides whether enough has changed for a new estimate",
     "encode": "the samples are packed as they would be sent to a server",
-    "estimate": "spherical harmonics of the light at the probe are computed",
+    "estimate": "spherical harmonics of the light at the position are computed",
     "apply": "the virtual objects are lit by the estimate",
     "compare": "the result is compared with path-traced ground truth",
 }
@@ -79,7 +79,7 @@ def _shared_legend(timeline: Timeline) -> str:
     if not all(probe.is_valid for probe in timeline.probes):
         entries.append(f"{svg.icon(reason_shape(KEPT))} light unknown: the last estimate is kept")
     if timeline.inactive_spans():
-        entries.append('<span class="shade-icon"></span> no probe in view')
+        entries.append('<span class="shade-icon"></span> no position in view')
     return svg.legend(entries)
 
 
@@ -103,7 +103,7 @@ def plot(
         for left, right in timeline.inactive_spans()
     )
     was_in_view = any(frame.active for frame in timeline.frames)
-    why_empty = "no value in any frame" if was_in_view else "no probe in view in any frame"
+    why_empty = "no value in any frame" if was_in_view else "no position in view in any frame"
     empty = "" if drawing else f'<text class="empty" x="50%" y="{HEIGHT_PX / 2}">{why_empty}</text>'
     body = shades + svg.grid_across(axis) + _frame_axis(timeline) + drawing + empty + _columns(timeline, hover)
     return svg.figure(body, title=title, about=about, label=f"{title}, per frame", below=below)
@@ -123,7 +123,7 @@ def _columns(timeline: Timeline, hover: Sequence[str]) -> str:
     columns = '<line class="now" y1="0" y2="100%"/>'
     edges = itertools.pairwise(timeline.edges_percent)
     for frame, (left, right), words in zip(timeline.frames, edges, hover, strict=True):
-        words = words if frame.active or words else "no probe in view"
+        words = words if frame.active or words else "no position in view"
         columns += (
             f'<rect class="column" x="{left:.3f}%" y="0" width="{right - left:.3f}%" height="{HEIGHT_PX}">'
             f"<title>{format_moment(frame)}\n{words}</title></rect>"
@@ -246,13 +246,13 @@ def _lanes(timeline: Timeline) -> str:
                 words = f"{format_moment(frame)}\n{escape(name)}: {made}{format_kept(probe)}"
                 rows += _mark(timeline, x, y, probe, "" if probe.is_valid else KEPT, words)
     height = LANE_PX * len(timeline.probe_names)
-    return f'<svg class="lanes" role="img" aria-label="Estimates made, a row per probe" height="{height}">{rows}</svg>'
+    return f'<svg class="lanes" role="img" aria-label="Estimates made, by position" height="{height}">{rows}</svg>'
 
 
 def _coverage_plot(timeline: Timeline) -> str:
     axis = Axis(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), format_percent)
     hover = _hover(timeline, lambda probe: format_percent(probe.coverage))
-    about = "Share of the directions around the probe that the camera has seen. The rest has to be guessed."
+    about = "Share of the directions around the position that the camera has seen. The rest has to be guessed."
     drawing = _curves(timeline, axis, lambda probe: probe.coverage)
     return plot(timeline, axis, drawing, hover, title="Coverage", about=about)
 
@@ -264,7 +264,7 @@ def _stage_plot(timeline: Timeline) -> str:
     axis = linear_axis(0, _shown_up_to(totals))
     bars = _stacked_bars(timeline, axis, stages)
     drawing = svg.stretched(bars) + _cut_off_marks(timeline, axis, totals) if bars else ""
-    about = "Milliseconds of the chain without rendering, all probes together; stacked as listed, from the bottom up."
+    about = "Milliseconds of the chain without rendering, of all positions; stacked as listed, from the bottom up."
     hover, below = _stage_hover(timeline), _stage_legend(timeline)
     return plot(timeline, axis, drawing, hover, title="Time per stage", about=about, below=below)
 

@@ -48,7 +48,7 @@ _BETTER = {"up": "\N{UPWARDS ARROW} higher is better", "down": "\N{DOWNWARDS ARR
 def numbers_section(results: RunResults) -> str:
     blocks = {
         "Comparison with the ground truth": _comparison(results),
-        "Probes": _probes(Timeline.of(results)),
+        "Positions": _probes(Timeline.of(results)),
         "Effects": _effects(results.effects),
         "Phone": _phone(results),
         "What was invalid, and why": _invalid(results),
@@ -135,9 +135,9 @@ def _null_reasons(comparison: Mapping[str, Metrics], methods: Sequence[str]) -> 
 
 def _probes(timeline: Timeline) -> str:
     if not timeline.probe_names:
-        return "<p>No probe was in view in any frame.</p>"
+        return "<p>No position was in view in any frame.</p>"
     head = [
-        "probe", "position x, y, z (m)", "frames in view", "coverage, mean", "coverage, last", "estimates made",
+        "position", "x, y, z (m)", "frames in view", "coverage, mean", "coverage, last", "estimates made",
         "SHC RMSE, mean", "payload",
     ]  # fmt: skip
     seen = {name: [probe for probe in timeline.probes if probe.name == name] for name in timeline.probe_names}

@@ -24,7 +24,7 @@ REPLAY_TRIGGER = TriggerSettings(theta=0.005, ignored_share=0.25)
 class ReplayedStep:
     """What one frame brought: reports by position, and what is known there after it.
 
-    `lights` are those in force, none before the first valid one, and `gains` (3,) what their estimates were multiplied
+    `lights` are those in use, none before the first valid one, and `gains` (3,) what their estimates were multiplied
     by to carry them here, see `xihenet.light.carried_light`; `known` gives what the session knows of a position when it
     is asked, which may be after later steps. `hidden` are positions in view that lie behind what the frame shows there.
     """

@@ -9,4 +9,4 @@ LightChoice = Literal["auto", "sh", "sh+key", "sh+key+reflections"]
 """What a user asks for; "auto" takes what the objects call for."""
 
 BetweenEstimates = Literal["carried", "kept"]
-"""What becomes of the light in force between estimates, see `xihenet.light.carried_light`."""
+"""What becomes of the light in use between estimates, see `xihenet.light.carried_light`."""

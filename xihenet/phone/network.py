@@ -189,7 +189,7 @@ class EstimatesUnderWay:
         return [(share, request) for share, request in found if share > 0]
 
     def _there(self, name: str, time_s: float) -> Iterator[Request]:
-        """The valid estimates that have been in force up to `time_s`, the last one first."""
+        """The valid estimates that have been in use up to `time_s`, the last one first."""
         earliest_s = math.inf
         for request in reversed(self._requests.get(name, ())):
             is_there = request.estimate.is_valid and request.arrival_s <= time_s

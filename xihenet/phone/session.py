@@ -1,6 +1,6 @@
 """One session as the app on the phone lives it: its frames go into the chain, estimates come back when they arrive.
 
-The chain is the controller's and stays as it is; the delay between an estimate and the light in force is added behind
+The chain is the controller's and stays as it is; the delay between an estimate and the light in use is added behind
 it, here alone. A run has one session; the report makes more of them, from the same captures, with one effect left out.
 """
 
@@ -44,7 +44,7 @@ class PhoneSession:
         self, positions: Sequence[Position], chain: ControllerSettings, estimator: Estimator, link: Link | None,
         *, seed: int, others: Sequence[Estimator] = (),
     ) -> None:  # fmt: skip
-        # The controller carries no light on: what is in force is decided here, behind the delay.
+        # The controller carries no light on: what is in use is decided here, behind the delay.
         kept = replace(chain, between_estimates="kept")
         self.controller = XiheController(LocalBackend(estimator), kept, others=[LocalBackend(one) for one in others])
         self.positions = {position.name: position for position in positions}
@@ -58,7 +58,7 @@ class PhoneSession:
         """Of the last frame."""
         self.is_carried = chain.between_estimates == "carried"
         self._carried: dict[str, dict[int, CarriedLight]] = {name: {} for name in self.positions}
-        """By position and frame of the estimate, of those in force or still under way; empty where light is kept."""
+        """By position and frame of the estimate, of those in use or still under way; empty where light is kept."""
         self._seen: dict[str, UnitSphereCloud] = {}
         """What the lights of a position have been carried on to."""
         self._filled: dict[tuple[str, str | None], tuple[bytes, Reflections]] = {}
@@ -110,7 +110,7 @@ class PhoneSession:
             self._carried[name] = {frame: one.after(seen, before, directions) for frame, one in kept.items()}
 
     def light(self, name: str, time_s: float, other: str | None = None) -> ArrayF64:
-        """(9, 3) the light in force at a position: its last valid estimate that arrived, until then the ambient one.
+        """(9, 3) the light in use at a position: its last valid estimate that arrived, until then the ambient one.
 
         With `other`, what the estimator of that name said beside it, ambient where it could not know. Where light is
         carried between estimates it has gone on to the last frame, and a late one blends in, see `carried_light`.
@@ -118,7 +118,7 @@ class PhoneSession:
         return self._light_at(name, time_s, other).sh
 
     def object_light(self, names: Sequence[str], time_s: float, other: str | None = None) -> ObjectLight:
-        """The light in force of an object, of which `names` are the positions: their mean, and its key light.
+        """The light in use of an object, of which `names` are the positions: their mean, and its key light.
 
         `other` as of `light`; the ambient light has no key light. Reflections, where the session has them, are those at
         the first of the positions; they are carried, and of a late estimate they come at once.
@@ -171,13 +171,13 @@ class PhoneSession:
         return self._carried[name][request.frame].gain if request is not None and self.is_carried else np.ones(3)
 
     def expected_error(self, name: str, time_s: float) -> float | None:
-        """SHC RMSE that the estimator expects of the light in force; None for the ambient one, or if it says none."""
+        """SHC RMSE that the estimator expects of the light in use; None for the ambient one, or if it says none."""
         request = self.under_way.in_force(name, time_s)
         if request is None or not self.is_carried:
             return None if request is None else request.estimate.expected_error
         return self._carried[name][request.frame].light.expected_error
 
     def light_frame(self, name: str, time_s: float) -> int | None:
-        """The frame from which the light in force comes; None for the ambient one."""
+        """The frame from which the light in use comes; None for the ambient one."""
         request = self.under_way.in_force(name, time_s)
         return None if request is None else request.frame

@@ -33,7 +33,7 @@ class SeenFrame:
 class FoundLight:
     """What a session comes to know of one position, by frame.
 
-    `lights` are those in force, carrying the session's exposure: until the first estimate the ambient one.
+    `lights` are those in use, carrying the session's exposure: until the first estimate the ambient one.
     `coverage` is the share of the anchors that are known, `expected_error` SHC RMSE, None for an estimator that expects
     none or before there is an estimate. `was_in_view` says whether the position ever was.
     """

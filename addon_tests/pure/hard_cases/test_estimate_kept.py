@@ -120,7 +120,7 @@ def frame(plane_depth_m: float, code: int = 180) -> RgbdFrame:
 
 
 def session(plane_depths: list[float]) -> tuple[bool, int, bool]:
-    """After frames of these plane depths: whether a light is in force, skipped points, validity of what is asked."""
+    """After frames of these plane depths: whether a light is in use, skipped points, validity of what is asked."""
     controller = XiheController(LocalBackend(estimator("projection")))
     controller.add_position("ball", AHEAD)
     skipped = sum(controller.step(frame(value))["ball"].n_invalid_points for value in plane_depths)

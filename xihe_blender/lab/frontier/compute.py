@@ -64,7 +64,7 @@ class Walk:
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """The light in force at each place (25, 3), how many estimates it took, and milliseconds per frame."""
+    """The light in use at each place (25, 3), how many estimates it took, and milliseconds per frame."""
 
     lights: Sequence[ArrayF64]
     n_estimates: int

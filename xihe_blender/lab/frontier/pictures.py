@@ -3,7 +3,7 @@
 A picture costs several renders, so only a few choices are measured: the presets, other numbers of samples for the
 comparison at the base's capture, and the base with a key light and its shadow, and with reflections besides. What is
 timed is all that a run does for a frame: its capture, the light, and both pictures. The light is all of it (HDR), as in
-a run by default, and what a session has in force that came along the walk and estimates in every frame.
+a run by default, and what a session has in use that came along the walk and estimates in every frame.
 
 Two kinds of error are root mean squares of the displayed, sRGB-encoded colour inside the objects. "picture" is what
 saving samples adds: both pictures that a comparison makes, the objects under the estimated light and the path-traced
@@ -164,7 +164,7 @@ class Session:
                 self.active = active
 
     def lights_after(self, captured: RgbdFrame) -> dict[str, ObjectLight]:
-        """The light in force of every virtual object once it has seen `captured`, too."""
+        """The light in use of every virtual object once it has seen `captured`, too."""
         self._step(captured, self.active)
         lights = {}
         for item in self.plan.objects:

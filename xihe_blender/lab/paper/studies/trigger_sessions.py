@@ -115,7 +115,7 @@ def blended(clouds: Sequence[UnitSphereCloud], n_steps: int) -> Iterator[UnitSph
 
 
 def walk(place: Followed, rule: str, change: Change, theta: float) -> tuple[int, ArrayF64]:
-    """Estimates after the first, and (K,) the SHC RMSE of the light in force against that of every frame."""
+    """Estimates after the first, and (K,) the SHC RMSE of the light in use against that of every frame."""
     nothing = UnitSphereCloud.empty(len(place.seen[0]))
     fired, n_fires, errors, since = 0, 0, [0.0], nothing
     for now in range(1, len(place.seen)):
