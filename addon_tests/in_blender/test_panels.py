@@ -135,6 +135,7 @@ def test_progress_tells_the_time_left_and_sentences_are_wrapped_and_lose_no_word
     assert " ".join(lines) == text
     assert max(map(len, lines)) <= 30
     assert panels.wrapped("", 30) == []
+    assert panels.wrapped("took 2.4 s, then 19 min", 8) == ["took", "2.4 s,", "then", "19 min"]
 
 
 def test_a_run_of_another_day_is_told_with_its_date():

@@ -12,6 +12,7 @@ The sidebar is 220 pixels wide unless someone drags it: labels are short, and se
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 import time
 from pathlib import Path
@@ -43,6 +44,8 @@ METHOD_SHARE = 0.34
 PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
 RUN_SCALE = 1.5
+UNIT = re.compile(r"(?<=\d) (?=(?:%|s|ms|min|h|m)(?!\w))")
+"""What stands between a number and its unit."""
 
 ESTIMATES = (
     "How often the light was estimated, all virtual objects counted. Fewer cost less; a changing light needs more"
@@ -499,8 +502,9 @@ def sentence(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, 
 
 
 def wrapped(text: str, length: int) -> list[str]:
-    """Lines of at most `length` characters; a longer word is cut. Empty text has no line."""
-    return textwrap.wrap(text, length)
+    """Lines of at most `length` characters, numbers with their units; longer words are cut. Empty text has no line."""
+    held = UNIT.sub("\N{NO-BREAK SPACE}", text)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in textwrap.wrap(held, length)]
 
 
 def line_length(context: bpy.types.Context, *, has_icon: bool) -> int:
