@@ -10,7 +10,14 @@ from tiny_scenes import empty_scene
 from addon_tests.pure import runs
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.run_results import FrameResult
-from xihe_blender.previs.results_notes import dim_notes, exposure_notes, faults_seen, frame_notes, white_notes
+from xihe_blender.previs.results_notes import (
+    dim_notes,
+    exposure_notes,
+    faults_seen,
+    frame_notes,
+    unanswered_notes,
+    white_notes,
+)
 from xihe_blender.previs.settings import PrevisSettings
 
 
@@ -58,6 +65,14 @@ def test_light_beyond_white_is_told_as_a_share_or_a_range(shares, words):
     frames = [from_json(FrameResult, runs.frame(1, runs.probe(share_above_white=share))) for share in shares]
     (note,) = white_notes(frames)
     assert words in note
+
+
+def test_estimates_that_no_edge_service_gave_are_counted_and_others_not():
+    lost, other = ({"is_valid": False, "unknown_because": why} for why in ("no_answer", "nothing_seen"))
+    frames = [from_json(FrameResult, runs.frame(1, *(runs.probe(**one) for one in (lost, other, {}, lost))))]
+    (note,) = unanswered_notes(frames)
+    assert note.startswith("The edge service did not answer 2 times: ")
+    assert not list(unanswered_notes([from_json(FrameResult, runs.frame(1, runs.probe(**other)))]))
 
 
 def test_what_of_the_scenes_colour_management_pictures_leave_out_is_named():

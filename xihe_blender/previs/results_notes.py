@@ -17,8 +17,9 @@ from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean, too_small_to_judge
 from xihe_blender.scene.colour_management import PLAIN_VIEWS
 from xihe_blender.scene.units import metres_per_unit
+from xihenet.backend import NoAnswer
 from xihenet.edge.client import EdgeBackend
-from xihenet.formats import format_frames, format_list
+from xihenet.formats import format_count, format_frames, format_list
 from xihenet.invalid import format_reason
 
 WORTH_TELLING = 0.1
@@ -36,6 +37,7 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
     return [
         *frame_notes(run.scene, frames),
         *backend_notes(run),
+        *unanswered_notes(frames),
         *light_notes(run.settings, run.plan.objects),
         *shadow_notes(frames),
         *faults_seen(run.survey.faults, frames, math.prod(run.plan.size), is_chosen=run.settings.exposure is not None),
@@ -51,6 +53,7 @@ def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone
 def warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
     """Those of `notes` that ask the reader to check or change something."""
     return [
+        *unanswered_notes(frames),
         *faults_seen(run.survey.faults, frames, math.prod(run.plan.size), is_chosen=run.settings.exposure is not None),
         *dim_notes(run.scene, run.settings, run.exposure, frames),
         *exposure_notes(run.settings, run.exposure, frames),
@@ -209,6 +212,16 @@ def unknown_light_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
             instead = "the phone's ambient light was used instead"
         frames_where, why = format_frames(numbers), format_reason(reason)
         yield f"The light at {name} could not be known in {frames_where}, because {why}: {instead}."
+
+
+def unanswered_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
+    """That the run is less than it was to be, where an edge service was gone."""
+    n = sum(probe.unknown_because == NoAnswer.reason for entry in frames for probe in entry.probes)
+    if n:
+        yield (
+            f"The edge service did not answer {format_count(n, 'time')}: there the light is older, or the phone's "
+            "ambient light. See that xihe serve is there, and run again."
+        )
 
 
 def faults_seen(
