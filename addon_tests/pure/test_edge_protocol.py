@@ -13,6 +13,7 @@ from addon_tests.pure.made import random_cloud, random_rotation
 from xihenet.codec import METHODS, encode_cloud
 from xihenet.edge import protocol
 from xihenet.edge.axes import AXES, coefficients_in, sh_from, vector_from, vector_in
+from xihenet.edge.openapi import openapi_document
 from xihenet.records import UnitSphereCloud
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
@@ -117,6 +118,7 @@ def test_the_clean_form_says_what_the_published_one_cannot():
         ({"Xihe-Exposure": "0"}, "Xihe-Exposure"),
         ({"Xihe-Exposure": "nan"}, "Xihe-Exposure: expected a finite number, got"),
         ({"Xihe-Exposure": "1", "Xihe-Position": "1,2"}, "Xihe-Position: expected 3"),
+        ({"Xihe-Exposure": "1", "Xihe-Position": "-1e308,0,0"}, r"Xihe-Position: expected 3 numbers from -1e\+09"),
         ({"Xihe-Exposure": "1", "Xihe-Ambient": "1,2,-3"}, "Xihe-Ambient"),
         ({"Xihe-Exposure": "1", "Xihe-Axes": "x-up"}, "unity, y-up, z-up"),
     ],
@@ -124,6 +126,35 @@ def test_the_clean_form_says_what_the_published_one_cannot():
 def test_a_wrong_header_is_named(headers, said):
     with pytest.raises(ValueError, match=said):
         protocol.read_clean(b"", 12, protocol.CLOUD_TYPE, headers)
+
+
+@some_examples()
+@given(st.data())
+def test_what_openapi_describes_of_a_position_is_taken(data):
+    operation = openapi_document((12,), has_bearer=False)["paths"][
+        protocol.SESSIONS + "/{session}/positions/{position}"
+    ]
+    schemas = {one["name"]: one["schema"] for one in operation["post"]["parameters"]}
+    sent = {name: data.draw(from_schema(schemas[name]), name) for name in ("position", *protocol.OUR_HEADERS)}
+    name = protocol.checked_name(sent.pop("position"))
+    assert protocol.read_clean(b"", 12, protocol.CLOUD_TYPE, sent).exposure == float(sent["Xihe-Exposure"]) and name
+
+
+def from_schema(schema):
+    """Text of what a schema of a parameter allows, as headers and paths have it."""
+    if "enum" in schema:
+        return st.sampled_from(schema["enum"])
+    if "pattern" in schema:
+        return st.from_regex(schema["pattern"], fullmatch=True)
+    if schema["type"] == "number":
+        return st.floats(schema["minimum"], schema["maximum"]).map(repr)
+    return st.just("a token")
+
+
+@pytest.mark.parametrize("name", ["", "x" * 65, "a\n", "\x00", "\x85"])
+def test_a_position_has_a_name_without_controls(name):
+    with pytest.raises(ValueError, match="1 to 64 characters without controls"):
+        protocol.checked_name(name)
 
 
 def test_an_unknown_encoding_is_named():

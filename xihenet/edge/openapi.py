@@ -28,7 +28,7 @@ _POSITION = {
     "name": "position",
     "in": "path",
     "required": True,
-    "schema": {"type": "string", "minLength": 1, "maxLength": 64, "pattern": "^[A-Za-z0-9 _.-]+$"},
+    "schema": {"type": "string", "pattern": protocol.POSITION_NAME},
 }
 _ESTIMATE = {
     "type": "object",
@@ -136,7 +136,9 @@ def _open(sizes: tuple[int, ...]) -> dict[str, Any]:
 
 
 def _estimate() -> dict[str, Any]:
-    numbers = {"type": "string", "description": "Three numbers with commas between them."}
+    at, light = (f"{sign}{protocol.NUMBER}" for sign in ("-?", ""))
+    position, ambient = ({"type": "string", "pattern": f"^{one}(, ?{one}){{2}}$"} for one in (at, light))
+    exposure = {"type": "number", "minimum": 1 / protocol.MAX_EXPOSURE, "maximum": protocol.MAX_EXPOSURE}
     switches = {
         "replace": "Whether the cloud takes the place of what is known, instead of being merged.",
         "share": "Whether directions not seen are filled from other positions; needs the position.",
@@ -151,9 +153,9 @@ def _estimate() -> dict[str, Any]:
             for name, words in switches.items()
         ),
         _token_header(),
-        _header(protocol.EXPOSURE_HEADER, {"type": "number"}, "Exposure that the colours carry.", required=True),
-        _header(protocol.POSITION_HEADER, numbers, "Of the position, metres, in the client's axes."),
-        _header(protocol.AMBIENT_HEADER, numbers, "Radiance of the light sensor, carrying the exposure."),
+        _header(protocol.EXPOSURE_HEADER, exposure, "Exposure that the colours carry.", required=True),
+        _header(protocol.POSITION_HEADER, position, "Of the position, metres, in the client's axes."),
+        _header(protocol.AMBIENT_HEADER, ambient, "Radiance of the light sensor, carrying the exposure."),
         _axes("z-up"),
     ]
     refused = (401, 403, 404, 409, 413, 415)

@@ -18,7 +18,7 @@ say in headers: exposure, axes, position, ambient light.
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -47,6 +47,14 @@ _INFINITE = 0x7C00  # As float16; above it are NaN and whatever has a sign
 RECORD_BYTES = METHODS[_PUBLISHED_METHOD].bytes_per_record
 MAX_EXPOSURE = 1e6
 """And its inverse: the limits of what is believed to be an exposure."""
+
+MOST = 1e9
+"""Of a coordinate in metres, either way, or of ambient light."""
+
+POSITION_NAME = r"^[^\x00-\x1f\x7f-\x9f]{1,64}$"
+
+NUMBER = r"[0-9]{1,9}(\.[0-9]{1,20})?"
+"""Digits that every client can write, with the sign before them; `float` reads more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +149,7 @@ def content_type_of(method: EncodingMethod) -> str:
 
 
 def _numbers(headers: Mapping[str, str], name: str, n: int) -> tuple[float, ...] | None:
-    """`n` finite numbers with commas between them; None without the header."""
+    """`n` numbers up to `MOST` with commas between them; None without the header."""
     text = headers.get(name)
     if text is None:
         return None
@@ -149,8 +157,8 @@ def _numbers(headers: Mapping[str, str], name: str, n: int) -> tuple[float, ...]
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != n or not all(map(math.isfinite, numbers)):
-        expected = "a finite number" if n == 1 else f"{n} finite numbers with commas between them"
+    if len(numbers) != n or not all(abs(number) <= MOST for number in numbers):
+        expected = "a finite number" if n == 1 else f"{n} numbers from -{MOST:g} to {MOST:g} with commas between them"
         raise ValueError(f"{name}: expected {expected}, got {text[:80]!r}")
     return numbers
 
@@ -165,6 +173,13 @@ def anchors_wanted(text: str | None, sizes: tuple[int, ...], name: str = "Anchor
     if int(text) not in sizes:
         raise ValueError(f"{int(text)} anchors are not served here: choose one of {choices}")
     return int(text)
+
+
+def checked_name(name: str) -> str:
+    """`name` of a position; ValueError for one that cannot be."""
+    if not re.fullmatch(POSITION_NAME, name):
+        raise ValueError(f"expected the name of a position, 1 to 64 characters without controls, got {name[:80]!r}")
+    return name
 
 
 def failure(message: str) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from xihenet.edge.handler import Handler, as_sent, begin_of
 from xihenet.edge.service import EdgeService, Refused
 from xihenet.edge.sessions import Session, SessionFull, joined, new_session, new_token
 
-MAX_NAME = 64
 SWITCHES = {"no": False, "yes": True}
 
 
@@ -171,7 +170,7 @@ class PositionRoute(Handler):
         self.service.check_room()
         with self.service.timed("decode"), as_sent():
             wishes = Wishes(*map(self._switch, self.queries))
-            name = _checked_name(name)
+            name = protocol.checked_name(name)
             sent = protocol.read_clean(self.request.body, session.n_anchors, content_type, self.request.headers)
         self.tell(await self.service.estimate(session, name, sent, wishes))
 
@@ -207,9 +206,3 @@ def _described(service: EdgeService, session: Session) -> dict[str, Any]:
             for name, seen in positions.items()
         },
     }
-
-
-def _checked_name(name: str) -> str:
-    if not (0 < len(name) <= MAX_NAME and name.isprintable()):
-        raise ValueError(f"expected the name of a position, 1 to {MAX_NAME} printable characters, got {name[:80]!r}")
-    return name
