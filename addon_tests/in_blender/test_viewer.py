@@ -131,6 +131,14 @@ def test_an_object_without_a_material_is_the_grey_that_cycles_has_for_it():
     assert grey["metallicFactor"] == 0 and grey["baseColorFactor"][:3] == pytest.approx([0.8] * 3, abs=1e-3)
 
 
+def test_an_object_in_millimetres_far_from_the_origin_stands_still():
+    scene = walk()
+    ball = bpy.data.objects["Ball"]
+    ball.location, ball.scale = (1e6, -1e6, 0), (1e-3, 1e-3, 1e-3)
+    for move in viewed_objects(scene, [ball], [1, 2])[0].matrices:
+        np.testing.assert_allclose(move, np.eye(4), atol=1e-6)
+
+
 @pytest.mark.parametrize("hidden", ["by its eye", "in viewports", "with its collection", "by the view layer"])
 def test_an_object_that_the_viewport_hides_is_exported_as_a_run_shows_it(hidden):
     shown = viewed_objects(walk(), [bpy.data.objects["Ball"]], [1])[0].glb

@@ -50,12 +50,12 @@ def viewed_objects(
         )
     shapes = {item.name: _exported(scene, item) for item in objects}
     boxes = {item.name: world_box_corners(item, depsgraph) for item in objects}
-    start = {item.name: _place(item, scene) for item in objects}
+    from_start = {item.name: _inverse(_place(item, scene)) for item in objects}
     moves: dict[str, list[ArrayF64]] = {item.name: [] for item in objects}
     for frame in frames:
         scene.frame_set(frame)
         for item in objects:
-            moves[item.name].append(_y_up(_place(item, scene) @ np.linalg.pinv(start[item.name]), metres))
+            moves[item.name].append(_y_up(_place(item, scene) @ from_start[item.name], metres))
     viewed = []
     for name, corners in boxes.items():
         middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
@@ -77,6 +77,14 @@ def _unhide(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
 
 def _place(item: bpy.types.Object, scene: bpy.types.Scene) -> ArrayF64:
     return np.array(item.evaluated_get(scene.view_layers[0].depsgraph).matrix_world, np.float64)
+
+
+def _inverse(place: ArrayF64) -> ArrayF64:
+    """Of a (4, 4) whose axes may have length 0. All of it at once would lose what is small far from the origin."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = np.linalg.pinv(place[:3, :3])
+    inverse[:3, 3] = -inverse[:3, :3] @ place[:3, 3]
+    return inverse
 
 
 def _y_up(move: ArrayF64, metres: float) -> ArrayF64:
