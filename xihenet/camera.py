@@ -21,6 +21,7 @@ from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.invalid import counted, left_out
 from xihenet.openings import with_openings
 from xihenet.records import (
+    FLOAT32_TO_M,
     ArrayBool,
     ArrayF32,
     ArrayF64,
@@ -104,7 +105,8 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     that sees nothing may be broken.
 
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
-    of its distance from the world's origin. A point beyond the range of float32 is infinite or NaN.
+    of its distance from the world's origin, or 1e-16 for a camera beyond FLOAT32_TO_M. A point whose distance from the
+    camera is beyond the range of float32 is infinite or NaN.
     """
     valid = valid_plane_depth(frame.plane_depth_m)
     depth_m = with_openings(frame.plane_depth_m, valid)
@@ -148,23 +150,27 @@ def _far_pixels(frame: RgbdFrame, depth_m: ArrayF32) -> FarPixels | None:
         return FarPixels(pixels, (rays / np.linalg.norm(rays, axis=0)).astype(np.float32))
 
 
-def _unprojected(frame: RgbdFrame, depth_m: ArrayF32) -> ArrayF32:
+def _unprojected(frame: RgbdFrame, depth_m: ArrayF32) -> ArrayF32 | ArrayF64:
     """(3, H, W): one contiguous plane per axis, since sampling reads the axes one at a time."""
     across, up = _ray_slopes(frame.intrinsics)
     seen = np.where(valid_plane_depth(depth_m), depth_m, np.float32(np.nan))
     points = np.empty((3, *seen.shape), np.float32)
+    camera_m = frame.world_from_camera[:3, 3]
     # A camera that float32 cannot hold gives points that are not finite; sampling skips and counts them.
     with np.errstate(over="ignore", invalid="ignore"):
-        pose = frame.world_from_camera.astype(np.float32)
-        unrounded = frame.world_from_camera[:3, 3] - pose[:3, 3]
+        rounded = camera_m.astype(np.float32)
+        is_far = FLOAT32_TO_M < np.abs(rounded).max() < np.inf
+        axes = frame.world_from_camera[:3, :3].astype(np.float32)
         for axis, plane in enumerate(points):
-            np.add(across * pose[axis, 0], (up * pose[axis, 1] - pose[axis, 2])[:, None], out=plane)
+            np.add(across * axes[axis, 0], (up * axes[axis, 1] - axes[axis, 2])[:, None], out=plane)
             plane *= seen
+            if is_far:
+                continue
             # Far from the origin the camera's place is rounded by as much as the points are: once is enough.
-            if abs(unrounded[axis]) > NEGLIGIBLE_M:
-                plane += np.float32(unrounded[axis])
-            plane += pose[axis, 3]
-    return points
+            if abs(camera_m[axis] - rounded[axis]) > NEGLIGIBLE_M:
+                plane += np.float32(camera_m[axis] - rounded[axis])
+            plane += rounded[axis]
+    return points + camera_m[:, None, None] if is_far else points
 
 
 def project_points(

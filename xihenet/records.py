@@ -27,6 +27,10 @@ ArrayInt = NDArray[np.intp]
 
 POSE_TOLERANCE = 1e-3  # As poses are written with four digits
 
+FLOAT32_TO_M = 8192.0
+"""From the world's origin: from here on float32 has steps of a millimetre. In the coordinates of maps, some 5,000 km
+from it, they are half a metre."""
+
 TriggerReason = Literal["first", "colour", "coverage", "light", "moved", "none"]
 
 
@@ -188,25 +192,32 @@ class PixelGrid:
         _keep(self, np.float64, camera_m=(3,))
 
 
+def _needs_float64(points_m: ArrayF32 | ArrayF64) -> bool:
+    """Whether float32 would round points by millimetres. NaN and infinite coordinates say nothing."""
+    if not (isinstance(points_m, np.ndarray) and points_m.dtype == np.float64):
+        return False
+    return bool(np.any((np.abs(points_m) > FLOAT32_TO_M) & np.isfinite(points_m)))
+
+
 @dataclass(frozen=True, eq=False)
 class PointCloud:
     """Coloured points of one frame in the world. Points may be NaN or infinite: sampling skips and counts them.
 
     Parameters
     ----------
-    points_m : (P, 3) float32, world, metres; P may be 0
+    points_m : (P, 3) float32, world, metres; P may be 0. float64 stays what it is if a point is beyond FLOAT32_TO_M
     srgb : (P, 3) float32, sRGB-encoded colour in [0, 1] at the session's reference exposure
     invalid : how many of the points are not finite, by reason, as far as that is known
     grid : how the points lie in the picture; None for points without a picture, which then are points and no surfaces
     """
 
-    points_m: ArrayF32
+    points_m: ArrayF32 | ArrayF64
     srgb: ArrayF32
     invalid: Counts = field(default_factory=dict)
     grid: PixelGrid | None = None
 
     def __post_init__(self) -> None:
-        _keep(self, np.float32, points_m=(None, 3))
+        _keep(self, np.float64 if _needs_float64(self.points_m) else np.float32, points_m=(None, 3))
         n = len(self.points_m)
         if self.grid is not None and n != self.grid.height * self.grid.width:
             raise ValueError(f"PointCloud.grid: expected {n} pixels, got {self.grid.width} x {self.grid.height}")

@@ -200,7 +200,7 @@ def _look_through_openings(
         )
 
 
-def rays_to(points_m: ArrayF32, camera_m: ArrayF64) -> ArrayF64:
+def rays_to(points_m: ArrayF32 | ArrayF64, camera_m: ArrayF64) -> ArrayF64:
     """(K, 3) unit, from the camera to points (K, 3); NaN where that is none."""
     rays = points_m.astype(np.float64) - camera_m
     with np.errstate(invalid="ignore"):  # A point in the camera itself has no ray: NaN says so.
@@ -300,13 +300,18 @@ def checked_position(position_m: ArrayLike) -> ArrayF64:
     return position
 
 
-def _relative_columns(points_m: ArrayF32, position: ArrayF64) -> ArrayF32:
+def _relative_columns(points_m: ArrayF32 | ArrayF64, position: ArrayF64) -> ArrayF32:
     """(3, P) x, y and z of the points as seen from the position.
 
     The position is taken off in two parts, its float32 value and what that leaves. A float32 difference is rounded
     relative to itself and is exact where the two are close, so that rounding the position first loses nothing.
     """
     columns = np.empty((3, len(points_m)), np.float32)
+    if points_m.dtype == np.float64:
+        with np.errstate(over="ignore"):  # As below
+            for axis, column in enumerate(columns):
+                np.subtract(points_m[:, axis], position[axis], out=column, casting="same_kind")
+        return columns
     # Infinity and NaN stay what they are, and positions beyond float32 put all points there: they are counted later.
     with np.errstate(over="ignore", invalid="ignore"):
         coarse = position.astype(np.float32)

@@ -102,6 +102,16 @@ def test_blenders_camera_projects_as_the_phones_did(tmp_path, k):
         np.testing.assert_allclose(pose, captured.camera.world_from_camera, atol=1e-5)
 
 
+@pytest.mark.parametrize(("away_m", "is_far"), [(1_000, False), (500_000, True)])
+def test_a_recording_in_the_coordinates_of_a_map_is_said_to_be_too_far_away(tmp_path, away_m, is_far):
+    frame = seen(CENTRED, looking(0, 0, (0.3, 0, 0)), 1)
+    there = frame.world_from_camera.copy()
+    there[:3, 3] += away_m
+    _, made, _ = imported(tmp_path, [replace(frame, world_from_camera=there)])
+    assert made.scan is not None
+    assert ("500 km from the origin" in " ".join(made.said)) is is_far
+
+
 def test_a_lens_that_zooms_is_keyed_and_others_are_not(tmp_path):
     zooming = [Intrinsics(64, 48, 40.0 + i, 40.0 + i, 32.0, 24.0) for i in range(4)]
     frames = [seen(k, looking(0.1 * i, 0.0, (0, 0, 0)), 1 + i, i / 30) for i, k in enumerate(zooming)]

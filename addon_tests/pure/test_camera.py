@@ -56,6 +56,25 @@ def test_rays_that_no_float_can_hold_give_points_that_are_left_out_and_counted(f
     assert sampled.surfaces is not None and np.isfinite(sampled.surfaces.facing).all()
 
 
+@pytest.mark.parametrize("origin_m", [(1e4, -2e4, 50.0), (448_262.3, 5_411_932.7, 120.4), (-1e7, 1e7, 1e7)])
+def test_a_room_in_the_coordinates_of_a_map_looks_as_one_at_the_origin(origin_m):
+    """float32 alone has steps of half a metre there."""
+    rng, lattice = np.random.default_rng(0), AnchorLattice(1280)
+    intrinsics, pose = random_camera(rng)
+    there = pose.copy()
+    there[:3, 3] += origin_m
+    plane_depth_m = rng.uniform(0.5, 4, (intrinsics.height, intrinsics.width)).astype(np.float32)
+    plane_depth_m[3:6, 4:8] = 0  # a window
+    position_m = pose[:3, 3] - 1.2 * pose[:3, 2]
+    near, far = (
+        sample_unit_sphere(unproject_frame(frame_of(plane_depth_m, intrinsics, at)), position_m + offset, lattice)
+        for at, offset in ((pose, 0), (there, np.array(origin_m)))
+    )
+    assert np.count_nonzero(near.is_set != far.is_set) <= 2
+    both = near.is_set & far.is_set
+    assert np.abs(near.distance_m - far.distance_m)[both].max() < 1e-5
+
+
 def test_points_behind_the_camera_are_not_in_view():
     intrinsics = Intrinsics(4, 4, 2.0, 2.0, 2.0, 2.0)
     points = [[0, 0, -1], [0, 0, 1], [0.9, 0, -1], [1.1, 0, -1], [0, 0, 0], [np.nan, 0, -1]]

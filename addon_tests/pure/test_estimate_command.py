@@ -204,6 +204,11 @@ def test_a_position_outside_of_the_view_is_estimated_with_a_warning(exr, answer)
     assert said == "xihe: warning: 0,-2,0 is not in the frame's view: its light is estimated from other surfaces\n"
 
 
+def test_a_position_in_the_coordinates_of_a_map_is_named_as_it_was_given(exr, answer):
+    *_, said = answer(*exr, "--at", "448262.31,5411932.705,3")
+    assert "448262.31,5411932.705,3" in said
+
+
 def test_a_position_so_far_that_nothing_is_seen_from_there_is_told_so(exr, answer):
     content, said = answer(*exr, "--at", "1e39,0,0")
     assert not content["positions"][0]["is_valid"]

@@ -132,6 +132,17 @@ def test_large_frames_are_thinned_to_the_same_surfaces():
     assert wall.sum() > 2000
 
 
+def test_a_recording_far_from_its_origin_has_the_same_surfaces():
+    frame = seen(K, looking(0, 0, (0.3, 0, 0)))
+    away_m, there = np.array([30_000, -40_000, 80]), frame.world_from_camera.copy()  # Whole blocks
+    there[:3, 3] += away_m
+    near, far = mesh_of([frame]), mesh_of([replace(frame, world_from_camera=there)])
+    assert len(near.quads) and (near.quads == far.quads).all()
+    np.testing.assert_allclose(
+        far.points_m - near.points_m, np.broadcast_to((30_000, -40_000, 80), far.points_m.shape), atol=3e-3
+    )
+
+
 def test_the_same_frames_give_the_same_bytes():
     frames = walk(K, 4)
     one, other = mesh_of(frames), mesh_of(frames)

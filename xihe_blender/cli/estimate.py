@@ -227,7 +227,8 @@ def warnings_about(frame: RgbdFrame, placed: list[PlacedEstimate]) -> list[str]:
 
 
 def _format_position(position_m: Position) -> str:
-    return ",".join(f"{coordinate:g}" for coordinate in position_m)
+    # As many digits as say millimetres in the coordinates of a map
+    return ",".join(f"{coordinate:.10g}" for coordinate in position_m)
 
 
 def write_estimates(folder: Path, content: dict[str, Any], placed: list[PlacedEstimate]) -> list[Path]:

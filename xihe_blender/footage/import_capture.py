@@ -44,6 +44,7 @@ LOOKED_AT_M = 1.0
 """In front of the camera, where its first frame has no depth."""
 
 READING_SHARE = 0.4  # Of the time, where frames are kept as well
+COARSEST_M = 1e-3  # Steps of Blender's coordinates above which an import is said to lie too far away
 DEEPEST = 3  # Folders above a file of a recording, as of Polycam's keyframes/images/1.jpg
 OUTSIDE = "this Blender cannot read it: run `xihe import` outside of Blender, with the package installed"
 
@@ -225,6 +226,13 @@ def _build(
         said.append(f"There is no scan: no surface within {FARTHEST_M:g} m was seen clearly.")
     elif mesh.is_cut:
         said.append("The scan ends where it had grown too large.")
+    farthest_m = float(max(np.abs(one.camera.world_from_camera[:3, 3]).max() for one in numbered.values()))
+    step_m = float(np.spacing(np.float32(farthest_m / unit_m))) * unit_m
+    if step_m > COARSEST_M:
+        said.append(
+            f"The recording lies {farthest_m / 1000:,.0f} km from the origin of its world, where Blender's coordinates "
+            f"have steps of {step_m:.2g} m: take a place near it from all its poses, and import it again."
+        )
     said.append(f"Pictures are in {footage.folder}.")
     return ImportedCapture(collection, camera, scanned, looked_at, footage.folder, tuple(said))
 

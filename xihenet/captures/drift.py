@@ -83,7 +83,7 @@ class _Seen:
     """Points of a frame whose colours can be read."""
 
     index: int  # of the frame, in the order of the session
-    points_m: ArrayF32  # (K, 3) world
+    points_m: ArrayF32 | ArrayF64  # (K, 3) world
     codes: ArrayU8  # (K, 3)
     camera_m: ArrayF64  # (3,) world, from where they were seen
     shown_at: int  # index of the last frame that showed it
@@ -188,7 +188,7 @@ def _readable(frame: RgbdFrame) -> ArrayBool:
     return readable
 
 
-def _same_surface(points_m: ArrayF32, frame: RgbdFrame, is_readable: ArrayBool) -> tuple[ArrayInt, ArrayInt]:
+def _same_surface(points_m: ArrayF32 | ArrayF64, frame: RgbdFrame, is_readable: ArrayBool) -> tuple[ArrayInt, ArrayInt]:
     """Which of points (P, 3) the frame shows where it is readable, and in which pixel each."""
     points, pixels, expected_m = pixels_in_view(points_m, frame.intrinsics, frame.world_from_camera)
     measured_m = frame.plane_depth_m.ravel()[pixels]
@@ -220,7 +220,7 @@ def _compared(known: _Seen, frame: RgbdFrame, is_readable: ArrayBool, index: int
     return Pair(known.index, index, middle, sure_to, n)
 
 
-def _angles_deg(points_m: ArrayF32, first_m: ArrayF64, second_m: ArrayF64) -> ArrayF64:
+def _angles_deg(points_m: ArrayF32 | ArrayF64, first_m: ArrayF64, second_m: ArrayF64) -> ArrayF64:
     """(K,) between the directions from points (K, 3) to two cameras, degrees."""
     towards = [place_m - points_m.astype(np.float64) for place_m in (first_m, second_m)]
     lengths = [np.linalg.norm(one, axis=1).clip(1e-9) for one in towards]

@@ -18,9 +18,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xihenet.colour import LUMINANCE, srgb_to_linear
 from xihenet.light.key_light import SAME_LIGHT_COSINE, WHITE, sure_part, sure_share
@@ -98,7 +100,7 @@ def _every(cloud: PointCloud, grid: PixelGrid, step: int) -> PointCloud:
         stays = (row % step == 0) & (column % step == 0)
         return stays, row[stays] // step * width + column[stays] // step
 
-    def taken(values: ArrayF32) -> ArrayF32:
+    def taken(values: NDArray[Any]) -> NDArray[Any]:
         return values.reshape(grid.height, grid.width, 3)[::step, ::step].reshape(-1, 3)
 
     far, openings = grid.far, grid.openings
