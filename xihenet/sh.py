@@ -53,8 +53,8 @@ def anchor_basis(lattice: AnchorLattice, order: int) -> ArrayF64:
 
 
 def facing_weights(facing: ArrayLike) -> ArrayF64:
-    """(...) how much anchors count that face the position by these cosines: 0.2 to 1, and 0.3 for an unknown 0."""
-    return np.clip(np.asarray(facing, np.float64) + FACING_OFFSET, LEAST_WEIGHT, 1.0)
+    """(...) how much anchors count that face the position by these cosines: 0.2 to 1, and 0.3 for unknown, 0 or NaN."""
+    return np.clip(np.nan_to_num(np.asarray(facing, np.float64)) + FACING_OFFSET, LEAST_WEIGHT, 1.0)
 
 
 def project_anchors(cloud: UnitSphereCloud, lattice: AnchorLattice, order: int = 2) -> ArrayF64:

@@ -30,6 +30,16 @@ def test_weights_rise_with_facing_and_are_never_0():
     assert (np.diff(weights) >= 0).all() and weights[0] == 0.2 and weights[-1] == 1
 
 
+@pytest.mark.parametrize("name", ["projection", "lattice"])
+def test_facing_that_is_nan_counts_as_unknown(name):
+    known = random_cloud(np.random.default_rng(0), LATTICE.n)
+    unknown, nan = (
+        replace(known, surfaces=AnchorSurfaces.of_facing(np.full(LATTICE.n, facing))) for facing in (0, np.nan)
+    )
+    estimator = estimators.load(name)
+    np.testing.assert_array_equal(estimator.estimate(nan), estimator.estimate(unknown))
+
+
 @pytest.mark.parametrize("share", [0.001, 0.1, 0.5, 1.0])
 def test_constant_light_stays_constant_whatever_faces_where(share):
     cloud = faced_cloud(0, share)

@@ -53,7 +53,7 @@ class Lattice(Estimator):
     ) -> tuple[ArrayF64, float | None]:
         """With a frame in the context, a cloud of which next to nothing is set leans on the phone's sensor."""
         self._check_size(cloud)
-        facing = None if cloud.surfaces is None else cloud.surfaces.facing[None]
+        facing = None if cloud.surfaces is None else np.nan_to_num(cloud.surfaces.facing[None])
         light, raw = self._run(cloud.srgb[None], cloud.distance_m[None], cloud.is_set[None], facing)
         coverage = cloud.is_set.mean(keepdims=True)
         if context is not None and context.frame is not None:
