@@ -5,7 +5,7 @@ import math
 import bpy
 import numpy as np
 import pytest
-from tiny_scenes import empty_scene
+from tiny_scenes import empty_scene, phone
 
 from addon_tests.pure import runs
 from xihe_blender.io.json_records import from_json
@@ -81,3 +81,12 @@ def test_what_of_the_scenes_colour_management_pictures_leave_out_is_named():
     assert "transform: as the scene has it." in next(frame_notes(scene, ()))
     scene.view_settings.exposure, scene.view_settings.use_curve_mapping = 1.0, True
     assert "the scene's own, exposure and curves, would distort" in next(frame_notes(scene, ()))
+
+
+def test_pixels_without_a_distance_are_told_with_the_cameras_clip_end():
+    scene = empty_scene()
+    phone(scene, (0, 0, 1), (0, 1, 1)).data.clip_end = 200
+    scene.unit_settings.scale_length = 0.01
+    frames = [from_json(FrameResult, runs.frame(1, n_invalid_pixels=7))]
+    (note,) = (one for one in frame_notes(scene, frames) if "plane depth" in one)
+    assert note.startswith("7 captured pixels") and "beyond the camera's Clip End, 2 m" in note

@@ -175,7 +175,9 @@ def frame_notes(scene: bpy.types.Scene, frames: Sequence[FrameResult]) -> Iterat
         yield f"The phone's range sensor returned no distance for {lost} captured pixels; they count as far away."
     invalid = sum(entry.n_invalid_pixels for entry in frames) - lost
     if invalid > 0:
-        yield f"{invalid} captured pixels had no plane depth (open sky, windows, fog, smoke); they count as far away."
+        clip = f"what lies beyond the camera's Clip End, {metres * scene.camera.data.clip_end:g} m"
+        why = f"open sky, windows, fog, smoke, or {clip}"
+        yield f"{invalid} captured pixels had no plane depth ({why}); they count as far away."
     yield from unknown_light_notes(frames)
     followed = [entry.frame for entry in frames if any(probe.n_followed_anchors for probe in entry.probes)]
     if followed:
