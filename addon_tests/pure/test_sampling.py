@@ -141,8 +141,10 @@ def test_uniform_sampling_favours_no_point():
 
 
 @NEEDS_FPSAMPLE
-def test_each_farthest_point_is_the_farthest_from_those_before_it():
+@pytest.mark.parametrize("origin_m", [0.0, 5e6])
+def test_each_farthest_point_is_the_farthest_from_those_before_it(origin_m):
     cloud = random_cloud(np.random.default_rng(16), 3000)
+    cloud = PointCloud(cloud.points_m.astype(np.float64) + origin_m, cloud.srgb)
     picked = sample_farthest(cloud, 60, np.random.default_rng(17)).points_m.astype(np.float64)
     gap_m = np.full(3000, np.inf)
     for point, following in pairwise(picked):
