@@ -157,6 +157,10 @@ def test_replay_warns_of_a_place_that_lies_behind_what_every_frame_shows_there_o
     assert warned[0].split()[4].startswith(f"{far[0]:g}"[:4])
 
 
+def test_a_place_in_the_coordinates_of_a_map_is_named_as_it_was_given():
+    assert replay_command.Place("a", (448262.31, 5411932.705, 3.0)).where == "448262.31,5411932.705,3"
+
+
 def test_a_long_replay_says_how_far_it_is(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(replay_command, "SHOWN_EVERY_S", 0.0)
     path = as_plain(tmp_path / "in", walk(SMALL, 3))

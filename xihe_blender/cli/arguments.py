@@ -94,6 +94,11 @@ def position(text: str) -> Position:
     return x, y, z
 
 
+def as_given(at: Position) -> str:
+    """What `position` reads, with as many digits as say millimetres in the coordinates of a map."""
+    return ",".join(f"{coordinate:.10g}" for coordinate in at)
+
+
 def names(text: str) -> tuple[str, ...]:
     """Those of "A,B"; spaces around them and empty ones do not count.
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import Position, adder, one_of, position
+from xihe_blender.cli.arguments import Position, adder, as_given, one_of, position
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, json_file, write_together
 from xihenet import __version__, estimators
@@ -198,7 +198,7 @@ def _position_table(one: PlacedEstimate) -> str:
         facts.append(f"expected error {light.expected_error:.3f}")
     if not light.is_valid:
         facts.append(f"the light cannot be known: {format_reason(light.unknown_because)}")
-    rows = [f"{_format_position(one.position_m)}: {', '.join(facts)}"]
+    rows = [f"{as_given(one.position_m)}: {', '.join(facts)}"]
     if one.invalid:
         rows.append(f"points left out or clamped: {_format_reasons(one.invalid)}")
     rows.append(" l  m      red    green     blue")
@@ -213,7 +213,7 @@ def warnings_about(frame: RgbdFrame, placed: list[PlacedEstimate]) -> list[str]:
     doubt = off_centre(frame.intrinsics)
     lines = [] if doubt is None else [doubt]
     for one in placed:
-        where = _format_position(one.position_m)
+        where = as_given(one.position_m)
         if not one.light.is_valid:
             lines.append(f"the light at {where} cannot be known: {format_reason(one.light.unknown_because)}")
         elif not one.is_in_view:
@@ -224,11 +224,6 @@ def warnings_about(frame: RgbdFrame, placed: list[PlacedEstimate]) -> list[str]:
                 "surfaces that may be hidden from it; is the position, or the unit of the plane depth, right?"
             )
     return lines
-
-
-def _format_position(position_m: Position) -> str:
-    # As many digits as say millimetres in the coordinates of a map
-    return ",".join(f"{coordinate:.10g}" for coordinate in position_m)
 
 
 def write_estimates(folder: Path, content: dict[str, Any], placed: list[PlacedEstimate]) -> list[Path]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from xihe_blender.cli.arguments import BACKEND, BETWEEN, TRIGGER, add_recording, adder, one_of, position
+from xihe_blender.cli.arguments import BACKEND, BETWEEN, TRIGGER, add_recording, adder, as_given, one_of, position
 from xihe_blender.cli.progress import progress_line
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import finite_or_none, write_json, write_together
@@ -77,7 +77,7 @@ class Place:
 
     @property
     def where(self) -> str:
-        return ",".join(f"{coordinate:g}" for coordinate in self.at)
+        return as_given(self.at)
 
 
 class Reading:

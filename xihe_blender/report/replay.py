@@ -60,7 +60,7 @@ def _light(content: Mapping[str, Any], lights: Mapping[str, tuple[bytes, bytes]]
     head = ["position", "estimates", "last in frame", "seen of the sphere", "expected error", "key light from"]
     rows, pictures = [], ""
     for place in content["positions"]:
-        where = ", ".join(f"{x:g}" for x in place["at"])
+        where = ", ".join(f"{x:.10g}" for x in place["at"])
         rows.append([f"{escape(place['name'])} at {where} m", *_last(place)])
         if place["name"] not in lights:
             continue
