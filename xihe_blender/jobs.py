@@ -55,6 +55,7 @@ class TimeLeft:
 
     def after(self, progress: Progress, elapsed_s: float) -> float | None:
         """Seconds left; None before there are two steps."""
+        since_s = elapsed_s
         if self.before is not None and _is_of_another_job(progress, self.before[0]):
             self.steps.clear()
         elif self.before is not None:
@@ -63,7 +64,9 @@ class TimeLeft:
             units = last.stages[stage] - progress.stages.get(stage, 0.0)
             if units > 0:
                 self.steps.setdefault(stage, []).append((units, elapsed_s - then_s))
-        self.before = progress, elapsed_s
+            elif stage in self.steps and stage in progress.stages:
+                since_s = then_s  # What is told within a unit does not end it.
+        self.before = progress, since_s
         paces = {stage: _pace(steps) for stage, steps in self.steps.items()}
         if sum(map(len, self.steps.values())) < 2:
             return None  # One step is mostly set-up.

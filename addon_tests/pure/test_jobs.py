@@ -88,6 +88,11 @@ def test_jobs_that_follow_each_other_have_paces_of_their_own():
     assert seconds_left(*captures, *reading, *probes) == [None, None, pytest.approx(1), None, None, 1, None, None]
 
 
+def test_what_is_told_within_a_unit_does_not_shorten_it():
+    steps = [(0, "a", 0), (1, "b", 10), (1, "b: row 1", 40), (1, "b: row 2", 70), (2, "c", 70), (2, "c: row", 130)]
+    assert seconds_left(*((Progress(done, 4, doing), at_s) for done, doing, at_s in steps))[-2:] == [120, 120]
+
+
 def test_a_log_says_nothing_twice():
     stream = io.StringIO()
     show = progress_line(stream)
