@@ -4,6 +4,7 @@ import contextlib
 import io
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from previs_runs import N_FRAMES, counted_renders, files_below, run, walk
@@ -16,7 +17,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.blender_process import write_result
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.results import FilesRead, read_result, result_file
-from xihe_blender.lab.batch.unit import FACTORS, evaluate_unit
+from xihe_blender.lab.batch.unit import FACTORS, evaluate_unit, step_ms
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.io.json_files import read_json
 from xihenet.trigger import RULES
@@ -37,6 +38,12 @@ SEED = 1
 def test_every_rule_of_a_run_can_be_a_batchs():
     for rule, trigger in RULES.items():
         assert replace(SMALL, trigger=rule).of_trial("perfect", "projection", SEED).trigger == trigger
+
+
+def test_what_the_first_frame_sets_up_is_no_part_of_a_step():
+    frames = [SimpleNamespace(active=True, stage_ms={"sample": ms}, probes=[None]) for ms in (900.0, 10.0, 12.0)]
+    assert step_ms(SimpleNamespace(frames=frames)) == 12.0
+    assert step_ms(SimpleNamespace(frames=[])) is None
 
 
 @pytest.fixture(scope="module")

@@ -77,6 +77,8 @@ def test_the_trigger_that_is_as_good_asks_least():
     worse = [*points[:-1], replace(points[-1], error=1.06 * points[0].error)]
     assert laziest_as_good(worse).per_minute == 30.0
     assert trigger_points([trial(thetas=())], "lattice") == []
+    equal = [points[0], *(replace(point, per_minute=30.0) for point in points[1:])]
+    assert laziest_as_good(equal).factor == 1
 
 
 def test_how_often_is_answered_where_the_ambient_light_is_best():

@@ -116,7 +116,9 @@ class UnitResult:
     """All of a unit's result.json."""
 
     trials: Annotated[tuple[TrialFigures, ...], "of all phones and estimators, in the order of the batch"]
-    step_ms: Annotated[tuple[float | None, ...], "mean time of the chain for a position in a frame, by trial, or None"]
+    step_ms: Annotated[
+        tuple[float | None, ...], "median time of the chain for a position in a frame, by trial, or None"
+    ]
     render_s: Annotated[float, "of everything, before a stop as well"]
     cost: Annotated[UnitCost, "see there"]
     read: Annotated[FilesRead, "see there"] = FilesRead()
@@ -143,7 +145,9 @@ class UnitRow(UnitCost, UnitName):
     """A unit that is done."""
 
     render_s: Annotated[float, "of everything, before a stop as well"]
-    step_ms: Annotated[tuple[float | None, ...], "mean time of the chain for a position in a frame, by trial, or None"]
+    step_ms: Annotated[
+        tuple[float | None, ...], "median time of the chain for a position in a frame, by trial, or None"
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -108,7 +108,7 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
         by_trial, pixels, compared_s = yield from compare_unit(runs, walks)
     return UnitResult(
         trials=tuple(map(trial_figures, runs, walks, by_trial, swept, itertools.repeat(pixels))),
-        step_ms=tuple(map(_mean_step_ms, walks)),
+        step_ms=tuple(map(step_ms, walks)),
         render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
         cost=_cost(folder, start_s, start_processor_s),
         read=read,
@@ -123,9 +123,10 @@ def _begun_with(outputs: RunOutputs) -> FilesRead:
     return read
 
 
-def _mean_step_ms(walked: WalkedPath) -> float | None:
+def step_ms(walked: WalkedPath) -> float | None:
+    """The median: tables and code that all trials share are made in the first frame of the first of them."""
     steps = [sum(entry.stage_ms.values()) / len(entry.probes) for entry in walked.frames if entry.active]
-    return float(np.mean(steps)) if steps else None
+    return statistics.median(steps) if steps else None
 
 
 def _cost(folder: Path, start_s: float, start_processor_s: float) -> UnitCost:
