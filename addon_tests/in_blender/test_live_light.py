@@ -74,6 +74,17 @@ def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(sce
     assert all(np.array_equal(light, other[k]) for k, light in keyed(bpy.data.worlds["Xihe Board"])[0].items())
 
 
+def test_where_to_look_is_forgotten_for_what_was_moved_and_for_nothing_else(scene):
+    looks = bpy.context.window_manager.xihe.looks
+    for name in ("Ball", "Board"):
+        looks.add().name = name
+    bpy.data.objects["Ball"].location.x += 0.4
+    bpy.context.view_layer.update()
+    assert bpy.ops.xihe.update_light() == {"FINISHED"}
+    assert [row.name for row in looks] == ["Board"]
+    looks.clear()
+
+
 def test_the_panel_tells_of_what_was_moved_until_it_is_renamed_or_deleted(scene):
     for name in ("Ball", "Board"):
         bpy.data.objects[name].location.x += 0.4

@@ -94,6 +94,9 @@ def show_found(
     here = {item.name for item in virtual_objects(scene)}
     for name in [name for name in places if name in here]:
         show_found_light(scene, folder, name, places[name], found[name])
+        looks = bpy.context.window_manager.xihe.looks
+        if name in looks:  # Where to look was asked for the place that it had.
+            looks.remove(looks.find(name))
 
 
 class XIHE_OT_update_light(Action, bpy.types.Operator):
