@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -10,9 +11,12 @@ from addon_runs import registered_addon, small_panel_runs, walk_for_the_panel
 from previs_runs import SMALL, run, walk
 
 from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer
+from xihe_blender.addon.error_budget import XIHE_OT_measure_budget
+from xihe_blender.addon.planning_operators import XIHE_OT_measure_run
 from xihe_blender.addon.run_settings import previs_settings
 from xihe_blender.errors import UserError
 from xihe_blender.io.run_results import read_results
+from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.settings import load_estimators
 from xihenet.edge.batching import Inference
 from xihenet.metrics import shc_rmse
@@ -75,3 +79,8 @@ def test_an_edge_server_that_is_not_there_is_one_line(tmp_path, addon_for_small_
         bpy.ops.xihe.run()
     assert len(str(told.value).strip().splitlines()) == 1
     assert not (tmp_path / "runs").exists(), "it is asked before anything is written"
+    for start_job in (XIHE_OT_measure_run.start_job, XIHE_OT_measure_budget.start_job):
+        job = start_job(SimpleNamespace(scene=bpy.context.scene), bpy.context)
+        assert next(job).doing == "asking the edge server", "beside the window"
+        with pytest.raises(UserError, match="does not answer"):
+            run_blocking(job)

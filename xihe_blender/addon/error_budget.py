@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from xihe_blender.addon.background_run import COMMAND
+from xihe_blender.addon.modal_job import edge_server_asked
 from xihe_blender.addon.panels import StagePanel, sentence
 from xihe_blender.addon.planning_operators import Measuring, known_times
 from xihe_blender.addon.runs_folder import found_folder, last_budget, new_run_folder
@@ -45,6 +46,7 @@ def _budget_in_new_folder(scene: bpy.types.Scene) -> Job[tuple[Path, BudgetResul
     from xihe_blender.previs.error_budget import error_budget
 
     settings = previs_settings(scene)
+    yield from edge_server_asked(settings)
     folder = new_run_folder(scene)
     try:
         budget = yield from error_budget(scene, folder, settings, command=COMMAND)

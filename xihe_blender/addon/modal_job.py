@@ -8,16 +8,22 @@ rendering to the user.
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from xihe_blender.addon.failures import FAILURES, failed
 from xihe_blender.addon.leftovers import remove_working_scenes
+from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress, TimeLeft
 from xihenet.formats import format_duration
+
+if TYPE_CHECKING:
+    from xihe_blender.previs.settings import PrevisSettings
 
 UNDO_KEYS = {"Z", "Y"}
 NO_INPUT = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "WINDOW_DEACTIVATE", "NONE"}
@@ -124,6 +130,34 @@ def redraw(window_manager: bpy.types.WindowManager, *, has_view_changed: bool = 
             for region in area.regions:
                 if area.type == "VIEW_3D" and region.type in kinds:
                     region.tag_redraw()
+
+
+def in_thread(work: Callable[[], object], doing: str) -> Job[None]:
+    """`work`, which leaves Blender alone, in a thread beside the window; raises the UserError of `work`."""
+    failures: list[UserError] = []
+
+    def run() -> None:
+        try:
+            work()
+        except UserError as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield Progress(0, 1, doing)
+    while thread.is_alive():
+        yield Progress(0, 1, doing)
+    if failures:
+        raise failures[0]
+
+
+def edge_server_asked(settings: PrevisSettings) -> Job[None]:
+    """Whether the edge server of `settings`, if they have one, answers: where it does not, the tries take seconds."""
+    if settings.backend is not None:
+        from xihe_blender.previs.settings import close_backends, load_estimators
+
+        alone = replace(settings, others=())
+        yield from in_thread(lambda: close_backends(load_estimators(alone)), "asking the edge server")
 
 
 class ModalJob:

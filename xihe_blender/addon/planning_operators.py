@@ -9,7 +9,7 @@ import bpy
 from xihe_blender.addon import polls
 from xihe_blender.addon.calibration import calibration_file
 from xihe_blender.addon.failures import Action
-from xihe_blender.addon.modal_job import ModalJob
+from xihe_blender.addon.modal_job import ModalJob, edge_server_asked
 from xihe_blender.jobs import Job
 from xihe_blender.scene.virtual_objects import virtual_objects
 
@@ -96,8 +96,13 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
         from xihe_blender.addon.run_settings import previs_settings
         from xihe_blender.previs.run_time import run_time_job
 
-        self.timed = timed(context.scene)
-        return run_time_job(context.scene, previs_settings(context.scene))
+        self.timed, settings = timed(context.scene), previs_settings(context.scene)
+
+        def job() -> Job[Any]:
+            yield from edge_server_asked(settings)
+            return (yield from run_time_job(self.scene, settings))
+
+        return job()
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
         from xihe_blender.previs.run_time import format_run_time

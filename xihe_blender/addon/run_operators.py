@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import threading
 import time
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -14,7 +11,7 @@ import bpy
 from xihe_blender.addon import polls
 from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
 from xihe_blender.addon.failures import Action
-from xihe_blender.addon.modal_job import ModalJob
+from xihe_blender.addon.modal_job import ModalJob, edge_server_asked, in_thread
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.runs_folder import new_run_folder, shown_runs
 from xihe_blender.errors import UserError
@@ -93,7 +90,6 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
         from xihe_blender.addon.run_settings import choices_of_run, previs_settings, run_and_show
         from xihe_blender.apply.lit_scene import keep_added
         from xihe_blender.previs.plan import plan_previs
-        from xihe_blender.previs.settings import close_backends, load_estimators
         from xihe_blender.previs.survey import may_see_a_position
 
         keep_added()
@@ -104,9 +100,7 @@ class XIHE_OT_run(polls.Conditional, Following, bpy.types.Operator):
                 "No virtual object is in view of the camera in any frame: "
                 "turn the camera to one, or move one into its view"
             )
-        if settings.backend is not None:
-            alone = replace(settings, others=())
-            yield from in_thread(lambda: close_backends(load_estimators(alone)), "asking the edge server")
+        yield from edge_server_asked(settings)
         if in_background:
             yield Progress(0, 1, "saving a copy of the file")
         self.folder = new_run_folder(scene)
@@ -201,24 +195,6 @@ def ask_to_delete(operator: bpy.types.Operator, event: bpy.types.Event, what: st
 def results_imported() -> Job[None]:
     """Import what shows results, and NumPy with it: the window would stand still for a second."""
     yield from in_thread(lambda: importlib.import_module("xihe_blender.addon.results_in_blender"), "starting")
-
-
-def in_thread(work: Callable[[], object], doing: str) -> Job[None]:
-    """`work`, which leaves Blender alone, in a thread beside the window; raises the UserError of `work`."""
-    failures: list[UserError] = []
-
-    def run() -> None:
-        try:
-            work()
-        except UserError as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    while thread.is_alive():
-        yield Progress(0, 1, doing)
-    if failures:
-        raise failures[0]
 
 
 register, unregister = bpy.utils.register_classes_factory(
