@@ -70,6 +70,7 @@ def checked(run: Path, saw: dict[str, Any], page: Path) -> list[str]:
     wrong += ["the line was not dragged to a quarter"] * (abs(saw["dragged"] - 0.25) > 0.01)
     is_keyed = saw["kept_frame"] and all(abs(place - saw["dragged"] - 0.06) < 0.01 for place in saw["keyed"])
     wrong += ["arrow keys did not move the line alone, or did not tell a screen reader"] * (not is_keyed)
+    wrong += [f"{saw['filtered']} pictures were filtered again for the same frame"] * bool(saw["filtered"])
     wrong += ["the run was not played"] * (not saw["played"])
     frame = saw["truth"]["frame"]
     off = rms(picture(saw["truth"], size, at_centres=True) - stored(run / "pictures" / f"ground_truth_{frame:04d}.png"))

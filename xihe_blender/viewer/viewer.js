@@ -121,18 +121,17 @@ async function textureOf(uri) {
   return texture;
 }
 
-// The last few of what costs memory: a walk may have hundreds of pictures.
+// What was used last of what costs memory: a walk may have hundreds of pictures. `most` is no less than a picture takes.
 function kept(make, most) {
   const made = new Map();
-  return async (key) => {
-    if (!made.has(key)) made.set(key, make(key));
-    const found = await made.get(key);
+  return (key) => {
+    const found = made.get(key) ?? make(key);
+    made.delete(key);
+    made.set(key, found);
     if (made.size > most) {
       const [oldest, old] = made.entries().next().value;
-      if (oldest !== key) {
-        made.delete(oldest);
-        old.then((one) => one?.dispose?.());
-      }
+      made.delete(oldest);
+      old.then((one) => one.dispose());
     }
     return found;
   };
@@ -150,7 +149,9 @@ const depth = kept(async (place) => {
   return texture;
 }, 8);
 
-const reflected = kept(async (place) => surroundings(new THREE.HDRLoader().parse(bytes(data.reflections[place]).buffer)), 24);
+const MOST_LIGHTS = 24 + 3 * data.objects.length;
+const reflected = kept(
+  async (place) => surroundings(new THREE.HDRLoader().parse(bytes(data.reflections[place]).buffer)), MOST_LIGHTS);
 
 // What glossy things see where the phone's pictures are not asked for: the radiance of the coefficients.
 const radiance = kept(async (key) => {
@@ -168,7 +169,7 @@ const radiance = kept(async (key) => {
         values[(row * width + column) * 4 + c] = Math.max(0, basis.reduce((sum, b, i) => sum + b * sh[3 * i + c], 0));
     }
   return surroundings({ data: values, width, height, type: THREE.FloatType });
-}, 24);
+}, MOST_LIGHTS);
 
 function surroundings(panorama) {
   const texture = new THREE.DataTexture(panorama.data, panorama.width, panorama.height, THREE.RGBAFormat, panorama.type);
@@ -179,7 +180,7 @@ function surroundings(panorama) {
   texture.needsUpdate = true;
   const made = pmrem.fromEquirectangular(texture);
   texture.dispose();
-  return made.texture;
+  return made;
 }
 
 async function loadObjects() {
@@ -332,7 +333,7 @@ async function draw() {
         one.root.traverse((mesh) => {
           if (!mesh.isMesh) return;
           for (const material of [mesh.material].flat()) {
-            material.envMap = own;
+            material.envMap = own.texture;
             // The object throws its shadow without being seen itself.
             material.colorWrite = material.depthWrite = part === "objects";
           }
