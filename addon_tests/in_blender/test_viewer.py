@@ -25,6 +25,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
 from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.viewer.gltf import viewed_objects
 from xihenet.io.recording import load_frame
 from xihenet.light.platforms import Y_UP, coefficients_for, convention_of
@@ -137,6 +138,22 @@ def test_an_object_in_millimetres_far_from_the_origin_stands_still():
     ball.location, ball.scale = (1e6, -1e6, 0), (1e-3, 1e-3, 1e-3)
     for move in viewed_objects(scene, [ball], [1, 2])[0].matrices:
         np.testing.assert_allclose(move, np.eye(4), atol=1e-6)
+
+
+def test_shares_beyond_0_and_1_are_those_that_cycles_has_for_them():
+    scene = walk()
+    ball = bpy.data.objects["Ball"]
+    material = new_material("Shares")
+    shader = material.node_tree.nodes["Principled BSDF"]
+    ball.material_slots[0].material = material
+    for name, share in {"Alpha": 1.2, "Metallic": -0.3, "Roughness": 1.7}.items():
+        value = material.node_tree.nodes.new("ShaderNodeValue")
+        value.outputs[0].default_value = share
+        material.node_tree.links.new(value.outputs[0], shader.inputs[name])
+    exported = material_of(viewed_objects(scene, [ball], [1])[0].glb)
+    shares = exported["pbrMetallicRoughness"]
+    assert shares["baseColorFactor"][3] == 1 and "alphaMode" not in exported
+    assert shares["metallicFactor"] == 0 and shares.get("roughnessFactor", 1) == 1
 
 
 @pytest.mark.parametrize("hidden", ["by its eye", "in viewports", "with its collection", "by the view layer"])

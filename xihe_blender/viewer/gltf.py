@@ -132,19 +132,42 @@ def _exported(scene: bpy.types.Scene, item: bpy.types.Object) -> bytes:
             export_animations=False, export_cameras=False, export_lights=False,
         )  # fmt: skip
         glb = path.read_bytes()
-    return glb if is_rec709() else _in_rec709(glb)
+    return _as_three_takes_it(glb)
 
 
+SHARES = ("metallicFactor", "roughnessFactor", "transmissionFactor", "specularFactor", "clearcoatFactor")
 COLOUR_FACTORS = ("baseColorFactor", "emissiveFactor", "specularColorFactor", "sheenColorFactor", "attenuationColor")
 COMPONENTS: dict[int, Any] = {5121: np.uint8, 5123: np.uint16, 5126: np.float32}
 
 
-def _in_rec709(glb: bytes) -> bytes:
-    """A GLB of Blender's exporter, which leaves colours of materials and vertices in the file's working space."""
+def _as_three_takes_it(glb: bytes) -> bytes:
+    """A GLB of Blender's exporter, which leaves shares beyond 0 and 1, as Cycles does not, and colours as they are."""
     length = int.from_bytes(glb[12:16], "little")
     document, binary = json.loads(glb[20 : 20 + length]), bytearray(glb[28 + length :])
     for material in document.get("materials", ()):
-        for part in (material, material.get("pbrMetallicRoughness", {}), *material.get("extensions", {}).values()):
+        for part in _parts(material):
+            part |= {name: min(max(part[name], 0), 1) for name in SHARES if name in part}
+            if "baseColorFactor" in part:
+                alpha = part["baseColorFactor"][3]
+                part["baseColorFactor"][3] = min(max(alpha, 0), 1)
+                if alpha > 1 and "baseColorTexture" not in part:
+                    material.pop("alphaMode", None)  # Not opaque, it would leave no depth.
+    if not is_rec709():
+        _to_rec709(document, binary)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    size, text_size = (number.to_bytes(4, "little") for number in (28 + len(text) + len(binary), len(text)))
+    return glb[:8] + size + text_size + glb[16:20] + text + glb[20 + length : 28 + length] + binary
+
+
+def _parts(material: dict[str, Any]) -> list[dict[str, Any]]:
+    return [material, material.get("pbrMetallicRoughness", {}), *material.get("extensions", {}).values()]
+
+
+def _to_rec709(document: dict[str, Any], binary: bytearray) -> None:
+    """Colours of materials and vertices, which are in the file's working space."""
+    for material in document.get("materials", ()):
+        for part in _parts(material):
             for factor in COLOUR_FACTORS:
                 if factor in part:
                     part[factor][:3] = _clipped(np.array(part[factor][:3])).tolist()
@@ -157,10 +180,6 @@ def _in_rec709(glb: bytes) -> bytes:
         most = 1.0 if kind is np.float32 else float(np.iinfo(kind).max)
         colours = _clipped(stored[:, :3] / np.float64(most)) * most
         stored[:, :3] = colours if kind is np.float32 else np.rint(colours)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    size, text_size = (number.to_bytes(4, "little") for number in (28 + len(text) + len(binary), len(text)))
-    return glb[:8] + size + text_size + glb[16:20] + text + glb[20 + length : 28 + length] + binary
 
 
 def _clipped(rgb: ArrayF64) -> ArrayF64:
