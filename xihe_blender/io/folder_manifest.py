@@ -12,6 +12,7 @@ import glob
 import hashlib
 import json
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -123,8 +124,9 @@ class FolderManifest:
             )
         different = differences(kept, json.loads(json.dumps(self.provenance)))
         if different:
+            other = "other" if re.fullmatch(r"\w+s", different[0]) else "another"
             raise UserError(
-                f"{self.folder} holds {self.what} with another {', '.join(different)}: choose another folder for "
+                f"{self.folder} holds {self.what} with {other} {', '.join(different)}: choose another folder for "
                 "--out, or delete that one"
             )
 
