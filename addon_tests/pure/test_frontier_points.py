@@ -1,5 +1,6 @@
 """The choices that `xihe frontier` measured, as points: which are on a front, which differ in one choice, how drawn."""
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -8,6 +9,7 @@ from xihe_blender.lab.frontier.answers import LAST_TENTH, answers
 from xihe_blender.lab.frontier.points import Measured, family, group, groups, points_of
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice
 from xihe_blender.lab.frontier.report import pareto_plot
+from xihenet.formats import DASH
 
 
 def measured(label, error, ms, preset=None):
@@ -34,6 +36,13 @@ def test_a_plot_has_a_mark_for_every_choice_and_escapes_its_words():
     assert drawn.count("<title>") == 2 and "<a>" not in drawn and ">draft<" in drawn
     assert "nan" not in drawn and "inf" not in drawn.replace("infinite", "")
     assert "Nothing was measured" in pareto_plot([], "title", "about")
+
+
+def test_marks_that_are_close_are_numbered_together():
+    front = [(1, 0.5), (1.01, 0.495), (1.02, 0.49), (1.5, 0.4), (5, 0.3), (5.1, 0.29)]
+    points = points_of("room", {"render": [measured(f"{ms}", error, ms) for ms, error in front]}, seed=0)
+    drawn = pareto_plot(points, "title", "about")
+    assert re.findall('class="number"[^>]*>([^<]*)<', drawn) == [f"1{DASH}3", "4", "5, 6"]
 
 
 def test_a_family_differs_in_one_choice_and_no_other():

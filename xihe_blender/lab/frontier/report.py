@@ -5,8 +5,7 @@ Made from frontier.json alone. First picture: rendering and computing together, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from xihe_blender.lab.frontier.points import CHOICES, family, format_choice, format_dominated, group, groups
@@ -14,7 +13,7 @@ from xihe_blender.lab.frontier.records import Frontier, FrontierPoint, FrontierS
 from xihe_blender.report.document import block, document, table
 from xihe_blender.report.values import escape
 from xihenet import svg
-from xihenet.formats import format_count, format_list, format_milliseconds, format_percent, format_quantity
+from xihenet.formats import format_count, format_list, format_milliseconds, format_percent, format_quantity, format_runs
 from xihenet.svg import Axis, log_axis
 
 LAB_STYLE = Path(__file__).parents[1] / "lab.css"
@@ -41,6 +40,12 @@ ACROSS = "processor time of a frame"
 HEIGHT_PX = 360
 FOOT_PX = 386
 """Where the drawing ends, with room below the axis for errors of 0."""
+
+NUMBER_PERCENT, NUMBER_PX = 3, 14
+"""Room for a number beside its mark."""
+
+NAMES_LEFT_FROM = 88
+"""Per cent of the width: further right there is no room for a preset's name on the right of its mark."""
 
 
 def report_page(frontier: Frontier) -> str:
@@ -177,13 +182,13 @@ def pareto_plot(points: Sequence[FrontierPoint], title: str, about: str) -> str:
     times, heights = log_axis([p.time_ms for p in points], format_milliseconds), log_axis(errors, _percent)
     unnamed = sorted((p for p in points if p.on_front and p.preset is None), key=lambda p: p.time_ms)
     numbers = {p.label: number for number, p in enumerate(unnamed, start=1)}
-    places = [(_x(times, p.time_ms), _y(heights, p.error)) for p in unnamed]
-    # Two numbers in one place could not be read: the first of them stands above its mark.
-    pairs = zip(unnamed[:-1], pairwise(places), strict=True)
-    crowded = {p.label for p, ((x, y), (next_x, next_y)) in pairs if next_x - x < 2 and next_y - y < 12}
+    told: dict[str, str] = {}
+    for run in _runs(times, heights, unnamed):
+        # What is close together is numbered once, below the last of them: the front goes down there.
+        told[run[-1].label] = format_runs([numbers[p.label] for p in run])
     # What is nearest to the reader is drawn last.
     ordered = sorted(points, key=lambda p: (p.preset is not None, p.on_front))
-    marks = "".join(_mark(times, heights, p, numbers, crowded) for p in ordered)
+    marks = "".join(_mark(times, heights, p, told.get(p.label, "")) for p in ordered)
     zero = f'<text class="tick-y" x="-8" y="{FOOT_PX - 8}">0</text>' if len(errors) < len(points) else ""
     grid = svg.grid_across(heights, HEIGHT_PX) + svg.axis_of(times, ACROSS, FOOT_PX, grid=True) + zero
     body = f"{grid}{svg.straight(0, FOOT_PX, 100, FOOT_PX, 'base')}{_front_line(times, heights, points)}{marks}"
@@ -212,16 +217,32 @@ def _front_line(times: Axis, errors: Axis, points: Sequence[FrontierPoint]) -> s
     return svg.line([*steps, (100.0, steps[-1][1])] if steps else [], "s0", FOOT_PX)
 
 
-def _mark(times: Axis, errors: Axis, point: FrontierPoint, numbers: Mapping[str, int], crowded: Collection[str]) -> str:
+def _runs(times: Axis, errors: Axis, ordered: Sequence[FrontierPoint]) -> list[list[FrontierPoint]]:
+    """Points whose numbers could not be read beside each other, by time."""
+    runs: list[list[FrontierPoint]] = []
+    for point in ordered:
+        last = runs[-1][-1] if runs else None
+        if last is not None and (
+            _x(times, point.time_ms) - _x(times, last.time_ms) < NUMBER_PERCENT
+            and abs(_y(errors, point.error) - _y(errors, last.error)) < NUMBER_PX
+        ):
+            runs[-1].append(point)
+        else:
+            runs.append([point])
+    return runs
+
+
+def _mark(times: Axis, errors: Axis, point: FrontierPoint, number: str) -> str:
     x, y = _x(times, point.time_ms), _y(errors, point.error)
     kind, shape, name = "front" if point.on_front else "aside", "circle", ""
     if point.preset is not None:
         kind, shape = "preset", "diamond"
-        side, shift = ("end", -11) if x > 88 else ("start", 11)
+        side, shift = ("end", -11) if x > NAMES_LEFT_FROM else ("start", 11)
         name = f'<text class="preset-name" x="{shift}" y="-9" text-anchor="{side}">{escape(point.preset)}</text>'
-    elif point.on_front:
-        below = -7 if point.label in crowded else 14
-        name = f'<text class="number" x="-6" y="{below}" text-anchor="end">{numbers[point.label]}</text>'
+    elif number:
+        # On the right, where the names of presets stand on the left.
+        place = 'x="8" y="4"' if NAMES_LEFT_FROM < x < 100 - NUMBER_PERCENT else 'x="-6" y="14" text-anchor="end"'
+        name = f'<text class="number" {place}>{number}</text>'
     # From quartile to quartile, as far as is known: the spread, half of it to either side.
     low, high = (_x(times, max(1e-9, point.time_ms + side * point.spread_ms / 2)) for side in (-1, 1))
     whiskers = svg.straight(low, y, high, y, "whisker")
