@@ -34,6 +34,7 @@ def test_a_plot_has_a_mark_for_every_choice_and_escapes_its_words():
     points = points_of("room", {"render": [measured("<a>", 0.1, 10, "draft"), measured("zero", 0, 30)]}, seed=0)
     drawn = pareto_plot(points, "title", "about")
     assert drawn.count("<title>") == 2 and "<a>" not in drawn and ">draft<" in drawn
+    assert ">error<" in drawn and ">processor time of a frame<" in drawn
     assert "nan" not in drawn and "inf" not in drawn.replace("infinite", "")
     assert "Nothing was measured" in pareto_plot([], "title", "about")
 

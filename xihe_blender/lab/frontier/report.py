@@ -191,6 +191,7 @@ def pareto_plot(points: Sequence[FrontierPoint], title: str, about: str) -> str:
     marks = "".join(_mark(times, heights, p, told.get(p.label, "")) for p in ordered)
     zero = f'<text class="tick-y" x="-8" y="{FOOT_PX - 8}">0</text>' if len(errors) < len(points) else ""
     grid = svg.grid_across(heights, HEIGHT_PX) + svg.axis_of(times, ACROSS, FOOT_PX, grid=True) + zero
+    grid += '<text class="axis-y" x="4" y="-6">error</text>'
     body = f"{grid}{svg.straight(0, FOOT_PX, 100, FOOT_PX, 'base')}{_front_line(times, heights, points)}{marks}"
     return svg.figure(
         body, title=title, about=about, label=f"{title}: error against time", below=_legend(points, numbers),
