@@ -112,10 +112,12 @@ def command_parser(command: str | None = None) -> argparse.ArgumentParser:
     """The parser of `xihe`, with the options of one sub-command or, without its name, of all."""
     parser = _Parser(prog="xihe", description="AR lighting previsualisation in Blender.")
     parser.add_argument("--version", action="version", version=f"xihe {__version__}")
+    summaries = COMMANDS
     if command in COMMANDS:  # What a command does not know is refused here, not by its own parser.
         parser.command = command
+        summaries = {command: COMMANDS[command]}  # All of them take 10 ms.
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, summary in COMMANDS.items():
+    for name, summary in summaries.items():
         of_command = commands.add_parser(name, help=summary)
         if name != "train" and command in (None, name):
             module = importlib.import_module(f"{__package__}.{MODULES.get(name, name)}")
