@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGPIPE"), reason="Windows has no SIGPIPE")
+pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGPIPE"), reason="on Windows, which has no such signal")
 
 AS_IN_BLENDER = "import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n"
 
