@@ -26,6 +26,7 @@ import numpy as np
 
 from xihe_blender.cli.main import main as xihe
 from xihe_blender.io.run_results import read_results
+from xihenet.colour import linear_to_srgb, srgb_to_linear
 
 HERE = Path(__file__).parent
 MOST_BYTES = 15_000_000
@@ -44,7 +45,8 @@ def picture(seen: dict[str, Any], size: tuple[int, int], *, at_centres: bool = F
     blocks = rgba.reshape(size[1], height // size[1], size[0], width // size[0], 3)
     if at_centres:
         return blocks[:, blocks.shape[1] // 2, :, blocks.shape[3] // 2] / 255
-    return blocks.mean(axis=(1, 3)) / 255
+    # Where a bright window ends in a pixel, that is as bright as its mean in linear light.
+    return linear_to_srgb(srgb_to_linear(blocks / 255).mean(axis=(1, 3)))
 
 
 def stored(path: Path) -> np.ndarray:

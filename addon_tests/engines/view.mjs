@@ -63,6 +63,12 @@ for (const [name, viewport] of Object.entries(SCREENS)) {
     await page.screenshot({ path: `${folder}/${label}.png` });
   }
   await page.evaluate(() => void (wipe = 2));
+  // Drawn between its pixels, what the phone has seen is not itself in the mean over one of them.
+  await page.evaluate(async () => {
+    const captured = await picture(data.frames[at].captured);
+    captured.magFilter = THREE.NearestFilter;
+    captured.needsUpdate = true;
+  });
   saw.by_method = [];
   for (let place = 0; place < saw.desk.methods.length; place++) {
     await page.select("#method", String(place));
