@@ -7,6 +7,7 @@ from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, walk
 from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
+from xihe_blender.report.replay import write_replay_report
 from xihenet import estimators
 from xihenet.left_out import score_places, score_session
 from xihenet.records import Intrinsics
@@ -73,6 +74,13 @@ def test_estimators_of_different_sizes_are_refused():
     other.n_anchors = 512
     with pytest.raises(ValueError, match="one number of anchors"):
         scored([], {"a": Knows(0.0), "b": other}, np.zeros((0, 3)))
+
+
+def test_a_page_of_scores_alone_shows_no_table_of_lights(tmp_path):
+    content = {"format": "a recording", "source": "", "frames": [], "positions": [], "notes": [], "score": None}
+    write_replay_report(tmp_path / "page.html", content | {"estimator": "lattice", "target": "hdr"}, {}, [])
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "no light was asked for" in page and "no frames" not in page and "The light<" not in page
 
 
 @pytest.mark.slow

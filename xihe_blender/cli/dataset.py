@@ -9,6 +9,7 @@ from typing import Any
 from xihe_blender.cli.arguments import FRAMES, SCENE, adder, frame_range, names, settings_from
 from xihe_blender.cli.progress import progress_line, when_news
 from xihe_blender.jobs import run_blocking
+from xihenet.formats import format_count
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,7 +51,8 @@ def _build(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 
     settings = settings_from(options, BuildSettings)
     n_made = run_blocking(build_dataset(options.out, settings), when_news(progress_line(stderr)))
-    print(f"{len(settings.wanted())} rooms in {options.out}, {n_made} of them made now", file=stdout)
+    n_rooms = format_count(len(settings.wanted()), "room")
+    print(f"{n_rooms} in {options.out}, {n_made} made now", file=stdout)
 
 
 def _scene(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:

@@ -48,6 +48,8 @@ def write_replay_report(
 def _opening(content: Mapping[str, Any]) -> str:
     said = f"{format_count(len(content['frames']), 'frame')}, light by <code>{escape(content['estimator'])}</code>, "
     said += "all of it" if content["target"] == "hdr" else "clipped at white"
+    if not content["positions"]:
+        said = "Estimators were scored at places of the room's own; no light was asked for"
     moments = [one["light_gain"] for frame in content["frames"] for one in frame["positions"].values()]
     n_carried = sum(gain is not None and set(gain) != {1.0} for gain in moments)
     if n_carried:
@@ -57,6 +59,8 @@ def _opening(content: Mapping[str, Any]) -> str:
 
 
 def _light(content: Mapping[str, Any], lights: Mapping[str, tuple[bytes, bytes]]) -> str:
+    if not content["positions"]:
+        return ""
     head = ["position", "estimates", "last in frame", "seen of the sphere", "expected error", "key light from"]
     rows, pictures = [], ""
     for place in content["positions"]:
