@@ -8,7 +8,6 @@ mend it, and one line says how; 130 after Ctrl-C, and the same command resumes, 
 from __future__ import annotations
 
 import argparse
-import errno
 import importlib
 import re
 import shlex
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR, notes_on
-from xihe_blender.errors import UserError
+from xihe_blender.errors import UserError, format_disk_error
 from xihe_blender.io.blender_output import blender_output_aside, open_closed_streams
 from xihenet import __version__
 
@@ -85,7 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _failed(NEEDS_BLENDER)
     except OSError as error:
-        return _failed(_format_disk_error(error))
+        after = ";" if error.errno is None else ","
+        return _failed(f"{format_disk_error(error)}{after} then run the same command again to resume")
     except KeyboardInterrupt:
         # On a terminal the line of progress, with "^C" at its end, stands there unfinished.
         start = "\n" if sys.stderr.isatty() else ""
@@ -169,12 +169,3 @@ def _whole_number(text: str) -> int:
 def _failed(message: str) -> int:
     print(f"xihe: {' '.join(message.split())}", file=sys.stderr)
     return EXIT_USER_ERROR
-
-
-def _format_disk_error(error: OSError) -> str:
-    if error.errno is None:
-        # Raised by ourselves, with the fix in it.
-        return f"{error}; then run the same command again to resume"
-    place = "" if error.filename is None else f"{error.filename}: "
-    fix = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "fix that"
-    return f"{place}{error.strerror or error}; {fix}, then run the same command again to resume"

@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from typing import IO
 
-from xihe_blender.errors import UserError
+from xihe_blender.errors import UserError, format_disk_error
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_json
@@ -39,7 +39,8 @@ def main() -> int:
         try:
             write_result(Path(scene), int(seed), Path(folder), settings, stdout)
         except (UserError, OSError) as error:
-            print(" ".join(str(error).split()), file=stderr)
+            words = format_disk_error(error) if isinstance(error, OSError) else str(error)
+            print(" ".join(words.split()), file=stderr)
             return EXIT_CANNOT_BE_DONE
     return 0
 

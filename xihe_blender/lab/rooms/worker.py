@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from xihe_blender.errors import UserError
+from xihe_blender.errors import UserError, format_disk_error
 from xihe_blender.io.json_records import from_json
 from xihe_blender.lab.rooms.render_room import make_room
 from xihe_blender.lab.rooms.settings import BuildSettings
@@ -49,7 +49,8 @@ def main() -> int:
         numbers = sys.stdin.read() if rooms == "-" else rooms
         make_rooms(Path(folder), settings, map(int, numbers.split(",")), lambda: bool(told))
     except (UserError, OSError) as error:
-        print(" ".join(str(error).split()), file=sys.stderr)
+        words = format_disk_error(error) if isinstance(error, OSError) else str(error)
+        print(" ".join(words.split()), file=sys.stderr)
         return EXIT_CANNOT_BE_DONE
     return 0
 
