@@ -41,6 +41,7 @@ from xihe_blender.previs.captured_path import capture_path
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.recorded_run import recorded_session
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import (
     IS_CAPTURED,
     ChosenCapture,
@@ -86,7 +87,7 @@ def test_blenders_camera_projects_as_the_phones_did(tmp_path, k):
     scene, made, capture = imported(tmp_path, walk(k))
     for number, captured in enumerate(capture.frames, start=1):
         scene.frame_set(number)
-        points = np.array([tuple(vertex.co) for vertex in made.scan.data.vertices][::97], np.float64)
+        points = array_of(made.scan.data.vertices, "co", np.float32, 3)[::97].astype(np.float64)
         expected, depth_m = project_points(points, captured.camera.intrinsics, captured.camera.world_from_camera)[:2]
         in_front = depth_m > 0.1
         views = [world_to_camera_view(scene, made.camera, Vector(point)) for point in points[in_front]]
@@ -166,12 +167,12 @@ def test_times_in_other_units_or_of_a_clock_that_was_set_are_refused_before_file
 def test_the_scan_lies_on_the_walls_faces_the_room_and_has_the_colours_that_were_seen(tmp_path):
     _, made, _ = imported(tmp_path, walk(CENTRED, 12))
     mesh = made.scan.data
-    points = np.array([tuple(vertex.co) for vertex in mesh.vertices])
+    points = array_of(mesh.vertices, "co", np.float32, 3)
     off_m = np.abs(HALF - np.abs(points)).min(axis=1)
     assert np.quantile(off_m, 0.99) < 0.015
     assert off_m.max() < 0.03  # In the corners between walls
-    normals = np.array([tuple(face.normal) for face in mesh.polygons])
-    centres = np.array([tuple(face.center) for face in mesh.polygons])
+    normals = array_of(mesh.polygons, "normal", np.float32, 3)
+    centres = array_of(mesh.polygons, "center", np.float32, 3)
     assert ((normals * -centres).sum(axis=1) > 0).mean() > 0.999
     floor = np.abs(centres[:, 2] + HALF[2]) < 0.01
     assert floor.sum() > 500
@@ -232,11 +233,11 @@ def test_every_kind_of_recording_becomes_a_scan_with_gravity_down(tmp_path, name
     assert (found.fx / found.width, found.cx / found.width, found.cy / found.height) == pytest.approx(
         (own.fx / own.width, own.cx / own.width, own.cy / own.height), abs=1e-4
     )
-    points = np.array([tuple(vertex.co) for vertex in made.scan.data.vertices])
+    points = array_of(made.scan.data.vertices, "co", np.float32, 3)
     # The world of 7-Scenes is that of a camera, whose height is not said.
     assert np.quantile(points[:, 2], 0.98) - np.quantile(points[:, 2], 0.02) == pytest.approx(2 * HALF[2], abs=0.1)
-    floor = np.array([tuple(face.normal) for face in made.scan.data.polygons])[:, 2] > 0.9
-    low = np.array([face.center.z for face in made.scan.data.polygons])[floor]
+    floor = array_of(made.scan.data.polygons, "normal", np.float32, 3)[:, 2] > 0.9
+    low = array_of(made.scan.data.polygons, "center", np.float32, 3)[floor, 2]
     assert np.median(low) < np.median(points[:, 2])
 
 
@@ -279,7 +280,7 @@ def test_what_is_set_by_hand_is_remembered(tmp_path):
     folder = recorded(tmp_path / "walk", walk(CENTRED))
     scene, chosen = empty_scene(), ChosenCapture(folder, scale=0.5, floor_m=-HALF[2] / 2)
     made = run_blocking(import_capture(scene, chosen))
-    heights = np.array([vertex.co.z for vertex in made.scan.data.vertices])
+    heights = array_of(made.scan.data.vertices, "co", np.float32, 3)[:, 2]
     assert (heights.min(), heights.max()) == pytest.approx((0, HALF[2]), abs=0.02)
     assert remembered_capture(scene) == chosen
     np.testing.assert_allclose(phone_camera(scene)[1], capture_of(scene).frames[0].camera.world_from_camera, atol=1e-5)

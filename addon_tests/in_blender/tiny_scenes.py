@@ -63,11 +63,22 @@ def box(scene, name, centre, size, look=None, collection=None, inward=False):
 
 def sphere(scene, name, centre, radius, look=None, collection=None):
     """A smooth UV sphere."""
+    points, faces = _unit_sphere()
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata((points * radius).tolist(), [], faces)
+    mesh.shade_smooth()
+    mesh.materials.append(look or material(name))
+    return add(scene, name, mesh, centre, collection)
+
+
+@functools.cache
+def _unit_sphere():
+    """Points (P, 3) and faces."""
     rows, columns = 24, 48
     polar = np.linspace(0, np.pi, rows + 1)[1:-1]
     azimuth = np.arange(columns) * 2 * np.pi / columns
     ring = [(math.sin(p) * math.cos(a), math.sin(p) * math.sin(a), math.cos(p)) for p in polar for a in azimuth]
-    points = np.array([(0, 0, 1), *ring, (0, 0, -1)]) * radius
+    points = np.array([(0, 0, 1), *ring, (0, 0, -1)])
     top = [(0, 1 + a, 1 + (a + 1) % columns) for a in range(columns)]
     last, start = len(points) - 1, 1 + (rows - 2) * columns
     bottom = [(last, start + (a + 1) % columns, start + a) for a in range(columns)]
@@ -77,11 +88,7 @@ def sphere(scene, name, centre, radius, look=None, collection=None):
         for a in range(columns)
         for b in [(a + 1) % columns]
     ]
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(points.tolist(), [], top + middle + bottom)
-    mesh.shade_smooth()
-    mesh.materials.append(look or material(name))
-    return add(scene, name, mesh, centre, collection)
+    return points, top + middle + bottom
 
 
 def add(scene, name, data=None, location=(0, 0, 0), collection=None):
