@@ -162,13 +162,21 @@ def _show(world: bpy.types.World, panorama: ArrayF64) -> None:
 # ----------------------------------------------------------------------------------------------------------- engines
 
 
-def start_drawing(out: Path, engines: list[str], lights: list[str]) -> subprocess.Popen[str]:
-    """Begin to draw what lies below OUT/lights. SystemExit, in one line, where that cannot be."""
-    browser = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+def browser_of_engines() -> str:
+    """The Chromium that draws. SystemExit, in one line, where it, node or an engine is missing."""
+    browser = shutil.which(os.environ.get("CHROMIUM") or "chromium") or shutil.which("chromium-browser")
     if shutil.which("node") is None or browser is None:
-        sys.exit("prove.py needs node and a Chromium: install both, or name the browser in $CHROMIUM")
-    if not (HERE / "node_modules").is_dir():
-        sys.exit(f"prove.py needs the engines: run npm install --no-package-lock in {HERE}")
+        sys.exit("the engines need node and a Chromium: install both, or name the browser in $CHROMIUM")
+    wanted = json.loads((HERE / "package.json").read_text())["dependencies"]
+    missing = [name for name in wanted if not (HERE / "node_modules" / name).is_dir()]
+    if missing:
+        sys.exit(f"{', '.join(missing)} missing: run npm install --no-package-lock in {HERE}")
+    return browser
+
+
+def start_drawing(out: Path, engines: list[str], lights: list[str]) -> subprocess.Popen[str]:
+    """Begin to draw what lies below OUT/lights."""
+    browser = browser_of_engines()
     job = {"engines": engines, "lights": lights, "lights_in": str(out), "out": str(out / "drawn"), "side": SIDE}
     (out / "job.json").write_text(json.dumps(job | {"browser": browser}))
     return subprocess.Popen(["node", HERE / "render.mjs", out / "job.json"], stdout=subprocess.PIPE, text=True)

@@ -15,7 +15,6 @@ import argparse
 import base64
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,6 +22,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from prove import browser_of_engines
 
 from xihe_blender.cli.main import main as xihe
 from xihe_blender.io.run_results import read_results
@@ -94,9 +94,7 @@ def main() -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("out", type=Path)
     options = parser.parse_args()
-    browser = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
-    if shutil.which("node") is None or browser is None or not (HERE / "node_modules").is_dir():
-        sys.exit(f"prove_viewer.py needs node, a Chromium, and npm install --no-package-lock in {HERE}")
+    browser = browser_of_engines()
     if xihe(["export", str(options.run), "--to", "viewer", "--out", str(options.out)]) != 0:
         sys.exit(1)
     page = options.out / "viewer.html"
