@@ -93,9 +93,9 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     patterns = []
     for file in files:
-        yield Progress(0, len(files), f"{file.stem}: looking at the scene")
         survey_scene(open_blend(file), settings.size)
         patterns += files_read()
+        yield Progress(0, len(files), f"{file.stem}: looked at the scene")
     provenance = {
         "xihe": __version__,
         "blender": bpy.app.version_string,
