@@ -53,7 +53,7 @@ TRIGGERS = (  # A saved file keeps the place of its choice in this list.
         "By the paper's rule, when any direction changes colour by much; it misses a lamp that dims",
     ),
     ("every-frame", "Every Frame", "In each frame in which anything changed: the freshest light, at the highest cost"),
-    (USUAL_TRIGGER, "As Usual", "When it changes; on a phone's recording, as the recording says"),
+    (USUAL_TRIGGER, "As Usual", "As It Changes does; on a phone's recording, by the trigger that it was made with"),
 )
 PHONES_METERING = "PHONE"
 METERINGS = (

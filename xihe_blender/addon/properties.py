@@ -316,7 +316,7 @@ class XiheJobState(bpy.types.PropertyGroup):
     run_estimate: bpy.props.StringProperty(
         name="Run Time", description="How long a run would take on this machine, and how that was measured"
     )
-    timed: bpy.props.StringProperty(name="Timed", description="What was measured for these: scene and settings")
+    timed: bpy.props.StringProperty(name="Timed", description="Scene and settings for which the times were measured")
     budget_estimate: bpy.props.StringProperty(
         name="Budget Time", description="How long What Would Help? would take on this machine"
     )

@@ -1,8 +1,8 @@
-"""What does Cycles render on, where no window shows the user's preferences?
+"""What does Cycles render on where there is no window to choose it in?
 
-Blender as a module starts with the factory's preferences, in which Cycles may use no graphics card; a whole Blender
-starts with the user's, and a server has none. So a variable of the environment names the kind of device,
-`--cycles-device` sets it, and processes that a command starts inherit it. In a window the preferences alone count.
+Blender as a module starts with the factory's preferences, in which Cycles may use no graphics card. A whole Blender
+starts with the user's, but a server has none. So a variable of the environment names the kind of device,
+`--cycles-device` sets it, and processes that a command starts inherit it. In a window only the preferences count.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ def use_device(kind: str) -> None:
     found = _kinds_with_devices(cycles)
     if kind not in found:
         raise UserError(
-            f"Cycles finds no device of the kind {kind!r} on this machine: choose one of {', '.join(found)}"
+            f"--cycles-device or {DEVICE_VARIABLE}: Cycles finds no device of the kind {kind!r} on this machine: "
+            f"choose one of {', '.join(found)}"
         )
     cycles.compute_device_type = kind
     for device in cycles.get_devices_for_type(kind):

@@ -50,8 +50,8 @@ RENDER = ("previs", "placement", "budget", "look", "effects", "frontier", "paper
 """Commands that render a user's scenes with Cycles."""
 
 CYCLES_DEVICE = (
-    "kind of device that Cycles renders on, such as OPTIX, CUDA, HIP, ONEAPI or METAL for a graphics card; default: "
-    "XIHE_CYCLES_DEVICE in the environment, or else the preferences of this Blender"
+    "kind of device that Cycles renders on: CPU, or OPTIX, CUDA, HIP, ONEAPI or METAL for a graphics card; default: "
+    "XIHE_CYCLES_DEVICE in the environment, or else Blender's preferences"
 )
 
 NEEDS_BLENDER = (

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--light PARTS", arguments.LIGHT + AUTO, default="auto")
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")
     add("--between-estimates carried|kept", arguments.BETWEEN, default="carried")
-    add("--trigger", arguments.TRIGGER + "; default: split, or a recording's own", choices=tuple(RULES))
+    add("--trigger", arguments.TRIGGER + "; default: split, or the recording's own", choices=tuple(RULES))
     add("--network NAME", arguments.NETWORK)
     add("--effect NAME=on|off|auto", arguments.EFFECT, dest="overrides", action="append", default=[])
     add_one = arguments.adder(parser.add_mutually_exclusive_group())

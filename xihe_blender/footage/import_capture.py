@@ -231,7 +231,7 @@ def _build(
     if step_m > COARSEST_M:
         said.append(
             f"The recording lies {farthest_m / 1000:,.0f} km from the origin of its world, where Blender's coordinates "
-            f"have steps of {step_m:.2g} m: take a place near it from all its poses, and import it again."
+            f"have steps of {step_m:.2g} m: subtract a place near it from all its poses, and import it again."
         )
     said.append(f"Pictures are in {footage.folder}.")
     return ImportedCapture(collection, camera, scanned, looked_at, footage.folder, tuple(said))

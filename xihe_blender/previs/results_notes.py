@@ -217,12 +217,12 @@ def unknown_light_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
 
 
 def unanswered_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
-    """That the run is less than it was to be, where an edge service was gone."""
+    """How often an edge service did not answer."""
     n = sum(probe.unknown_because == NoAnswer.reason for entry in frames for probe in entry.probes)
     if n:
         yield (
-            f"The edge service did not answer {format_count(n, 'time')}: there the light is older, or the phone's "
-            "ambient light. See that xihe serve is there, and run again."
+            f"The edge service did not answer {format_count(n, 'time')}: the light in use there is an older estimate "
+            "or the phone's ambient light. Start xihe serve again, then run into a new folder."
         )
 
 

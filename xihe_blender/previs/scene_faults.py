@@ -224,7 +224,7 @@ def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
         said = (
             f"The physics of {loose[0]!r}{more} is not baked: Blender works out each frame from the one before, and a "
             "run leaves frames out, so that it may be elsewhere than in your own renders. Bake it (Cache > Bake, or "
-            "Simulation Nodes > Bake; of a fluid choose another Type than Replay)."
+            "Simulation Nodes > Bake; a fluid first needs another Type than Replay)."
         )
         yield Fault(name=loose[0], n=len(loose), said=said)
     keyed = animated_paths(scene)

@@ -264,7 +264,7 @@ def _stage_plot(timeline: Timeline) -> str:
     axis = linear_axis(0, _shown_up_to(totals))
     bars = _stacked_bars(timeline, axis, stages)
     drawing = svg.stretched(bars) + _cut_off_marks(timeline, axis, totals) if bars else ""
-    about = "Milliseconds of the chain without rendering, of all positions; stacked as listed, from the bottom up."
+    about = "Milliseconds of the chain at all positions, without rendering; stacked as listed, from the bottom up."
     hover, below = _stage_hover(timeline), _stage_legend(timeline)
     return plot(timeline, axis, drawing, hover, title="Time per stage", about=about, below=below)
 

@@ -49,7 +49,7 @@ def _opening(content: Mapping[str, Any]) -> str:
     said = f"{format_count(len(content['frames']), 'frame')}, light by <code>{escape(content['estimator'])}</code>, "
     said += "all of it" if content["target"] == "hdr" else "clipped at white"
     if not content["positions"]:
-        said = "Estimators were scored at places of the room's own; no light was asked for"
+        said = "Estimators were scored at places of the room; no light was asked for"
     moments = [one["light_gain"] for frame in content["frames"] for one in frame["positions"].values()]
     n_carried = sum(gain is not None and set(gain) != {1.0} for gain in moments)
     if n_carried:

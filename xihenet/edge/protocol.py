@@ -49,12 +49,12 @@ MAX_EXPOSURE = 1e6
 """And its inverse: the limits of what is believed to be an exposure."""
 
 MOST = 1e9
-"""Of a coordinate in metres, either way, or of ambient light."""
+"""Largest coordinate in metres, and largest ambient light."""
 
 POSITION_NAME = r"^[^\x00-\x1f\x7f-\x9f]{1,64}$"
 
 NUMBER = r"[0-9]{1,9}(\.[0-9]{1,20})?"
-"""Digits that every client can write, with the sign before them; `float` reads more."""
+"""Digits as every client can write them, without a sign; the service also reads what `float` does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ def _numbers(headers: Mapping[str, str], name: str, n: int) -> tuple[float, ...]
     except ValueError:
         numbers = ()
     if len(numbers) != n or not all(abs(number) <= MOST for number in numbers):
-        expected = "a finite number" if n == 1 else f"{n} numbers from -{MOST:g} to {MOST:g} with commas between them"
+        expected = "a number" if n == 1 else f"{n} numbers from -{MOST:g} to {MOST:g} with commas between them"
         raise ValueError(f"{name}: expected {expected}, got {text[:80]!r}")
     return numbers
 
@@ -178,7 +178,8 @@ def anchors_wanted(text: str | None, sizes: tuple[int, ...], name: str = "Anchor
 def checked_name(name: str) -> str:
     """`name` of a position; ValueError for one that cannot be."""
     if not re.fullmatch(POSITION_NAME, name):
-        raise ValueError(f"expected the name of a position, 1 to 64 characters without controls, got {name[:80]!r}")
+        expected = "the name of a position, 1 to 64 characters without control characters"
+        raise ValueError(f"expected {expected}, got {name[:80]!r}")
     return name
 
 

@@ -40,7 +40,7 @@ public class XiheLight : MonoBehaviour
 
     public void Apply()
     {
-        // The light in force is the last one at or before the frame; without a name, of the object that comes first.
+        // The light in use is the last one at or before the frame; without a name, of the object that comes first.
         Entry found = null;
         var lights = JsonUtility.FromJson<Export>(exported.text).lights;
         var wanted = string.IsNullOrEmpty(objectName) ? lights[0].@object : objectName;

@@ -158,7 +158,7 @@ def trigger_points(trials: Sequence[Trial], estimator: str) -> list[TriggerPoint
 def laziest_as_good(points: Sequence[TriggerPoint]) -> TriggerPoint:
     """The trigger with the fewest estimates whose mean error is within AS_GOOD of that of every frame.
 
-    Of several it is the trigger as it is: another would be no lazier.
+    Among equals it is the trigger in use: another would save nothing.
     """
     as_good = [point for point in points if point.error <= (1 + AS_GOOD) * points[0].error]
     return min(as_good, key=lambda point: (point.per_minute, point.factor != 1))
