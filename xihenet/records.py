@@ -28,8 +28,8 @@ ArrayInt = NDArray[np.intp]
 POSE_TOLERANCE = 1e-3  # As poses are written with four digits
 
 FLOAT32_TO_M = 8192.0
-"""From the world's origin: from here on float32 has steps of a millimetre. In the coordinates of maps, some 5,000 km
-from it, they are half a metre."""
+"""Distance from the world's origin from which on float32 has steps of a millimetre; 5,000 km from it, as in the
+coordinates of maps, they are half a metre."""
 
 TriggerReason = Literal["first", "colour", "coverage", "light", "moved", "none"]
 

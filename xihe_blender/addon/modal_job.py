@@ -152,7 +152,7 @@ def in_thread(work: Callable[[], object], doing: str) -> Job[None]:
 
 
 def edge_server_asked(settings: PrevisSettings) -> Job[None]:
-    """Whether the edge server of `settings`, if they have one, answers: where it does not, the tries take seconds."""
+    """Ask the edge server of `settings`, if they have one, beside the window; UserError if it does not answer."""
     if settings.backend is not None:
         from xihe_blender.previs.settings import close_backends, load_estimators
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 OPACITY = 0.75
 SECOND_LIFT_M = 0.002
-"""Of the drawn squares above the mesh, whose own faces would show through them else."""
+"""Height of the drawn squares above the mesh, whose own faces would otherwise show through them."""
 
 LEGEND_PX, LEGEND_HIGH_PX, MARGIN_PX = 180.0, 12.0, 24.0
 MOUSE_OFFSET_PX = 18.0

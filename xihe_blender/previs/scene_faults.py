@@ -256,7 +256,7 @@ def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
 def _is_worked_out(modifier: bpy.types.Modifier) -> bool:
     """Whether it is cloth, a soft body, hair that moves, dynamic paint or a simulation zone, and is not baked.
 
-    A Replay fluid never is: Blender keeps of it what was played.
+    A fluid of type Replay counts as not baked: Blender keeps only what was played of it.
     """
     caches: list[Any] = []
     if not modifier.show_render:
@@ -278,9 +278,9 @@ def _is_worked_out(modifier: bpy.types.Modifier) -> bool:
 
 
 def _is_zone_baked(modifier: bpy.types.NodesModifier, zone: bpy.types.NodesModifierBake) -> bool:
-    """Whether the simulation zone has a bake on disk or, which Python is not told, in the .blend.
+    """Whether the simulation zone has a bake, on disk or in the .blend.
 
-    What is in the .blend already can be packed from a folder that holds nothing.
+    Python cannot ask for the latter, but packing from an empty folder succeeds only where a bake is packed already.
     """
     folder, own = (zone.directory, "") if zone.use_custom_path else (modifier.bake_directory, str(zone.bake_id))
     baked = Path(pattern_of(modifier.id_data, folder), own, "meta", "*")

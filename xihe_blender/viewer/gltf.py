@@ -141,7 +141,7 @@ COMPONENTS: dict[int, Any] = {5121: np.uint8, 5123: np.uint16, 5126: np.float32}
 
 
 def _as_three_takes_it(glb: bytes) -> bytes:
-    """A GLB of Blender's exporter, which leaves shares beyond 0 and 1, as Cycles does not, and colours as they are."""
+    """A GLB of Blender's exporter with shares from 0 to 1, which Cycles keeps within too, and colours in Rec.709."""
     length = int.from_bytes(glb[12:16], "little")
     document, binary = json.loads(glb[20 : 20 + length]), bytearray(glb[28 + length :])
     for material in document.get("materials", ()):
@@ -151,7 +151,7 @@ def _as_three_takes_it(glb: bytes) -> bytes:
                 alpha = part["baseColorFactor"][3]
                 part["baseColorFactor"][3] = min(max(alpha, 0), 1)
                 if alpha > 1 and "baseColorTexture" not in part:
-                    material.pop("alphaMode", None)  # Not opaque, it would leave no depth.
+                    material.pop("alphaMode", None)  # three.js writes no depth for what is not opaque.
     if not is_rec709():
         _to_rec709(document, binary)
     text = json.dumps(document).encode()

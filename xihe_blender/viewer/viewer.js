@@ -121,7 +121,7 @@ async function textureOf(uri) {
   return texture;
 }
 
-// What was used last of what costs memory: a walk may have hundreds of pictures. `most` is no less than a picture takes.
+// Keeps the `most` last used of what costs memory, as a walk may have hundreds of pictures. One redraw may use no more of them.
 function kept(make, most) {
   const made = new Map();
   return (key) => {

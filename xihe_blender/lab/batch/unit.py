@@ -124,7 +124,7 @@ def _begun_with(outputs: RunOutputs) -> FilesRead:
 
 
 def step_ms(walked: WalkedPath) -> float | None:
-    """The median: tables and code that all trials share are made in the first frame of the first of them."""
+    """The median over the frames: in the first one of the first trial tables are made that all trials share."""
     steps = [sum(entry.stage_ms.values()) / len(entry.probes) for entry in walked.frames if entry.active]
     return statistics.median(steps) if steps else None
 

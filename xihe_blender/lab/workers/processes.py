@@ -54,7 +54,7 @@ def leave_blender(code: int) -> NoReturn:
 def only_with_a_reader(pipe: int) -> Iterator[None]:
     """End this Blender within a second or two of the end of whoever reads `pipe`, if that comes during the block.
 
-    A pipe that goes to somebody tells of their end only when it is written to: a line of nothing, in each second.
+    Whether a pipe still has a reader shows only when it is written to, so an empty line is written every second.
     """
     is_over = threading.Event()
 
