@@ -140,6 +140,14 @@ def test_an_object_in_millimetres_far_from_the_origin_stands_still():
         np.testing.assert_allclose(move, np.eye(4), atol=1e-6)
 
 
+def test_an_object_without_a_face_is_a_whole_file():
+    scene = walk()
+    ball = bpy.data.objects["Ball"]
+    ball.data.clear_geometry()
+    glb = viewed_objects(scene, [ball], [1])[0].glb
+    assert int.from_bytes(glb[8:12], "little") == len(glb)
+
+
 def test_shares_beyond_0_and_1_are_those_that_cycles_has_for_them():
     scene = walk()
     ball = bpy.data.objects["Ball"]

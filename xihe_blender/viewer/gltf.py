@@ -156,8 +156,9 @@ def _as_three_takes_it(glb: bytes) -> bytes:
         _to_rec709(document, binary)
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
-    size, text_size = (number.to_bytes(4, "little") for number in (28 + len(text) + len(binary), len(text)))
-    return glb[:8] + size + text_size + glb[16:20] + text + glb[20 + length : 28 + length] + binary
+    rest = glb[20 + length : 28 + length] + binary  # Nothing, of an object without a face.
+    size, text_size = (number.to_bytes(4, "little") for number in (20 + len(text) + len(rest), len(text)))
+    return glb[:8] + size + text_size + glb[16:20] + text + rest
 
 
 def _parts(material: dict[str, Any]) -> list[dict[str, Any]]:
