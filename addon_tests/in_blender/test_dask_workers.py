@@ -1,15 +1,18 @@
 """Work over Dask: what dies is tried again, what cannot be done says so, and rooms are the same whoever makes them."""
 
 import importlib.metadata
+import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 from urllib.request import urlopen
 
 import bpy
 import pytest
 from small_rooms import small_build
 
+from addon_tests.pure.test_broken_pipes import AS_IN_BLENDER
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.build import build_dataset
@@ -58,12 +61,19 @@ def test_a_process_that_dies_is_tried_again(scheduler, scripts):
     assert (scripts / "mark").exists()
 
 
-def test_a_blender_ends_when_nobody_reads_it_any_more():
-    work = "import time; from xihe_blender.lab.workers.processes import *\nwith only_with_a_reader(1): time.sleep(60)"
-    with subprocess.Popen([sys.executable, "-c", work], stdout=subprocess.PIPE) as process:
-        process.stdout.read(1)
+def test_a_blender_ends_without_a_trace_when_nobody_reads_it_any_more():
+    work = f"""
+{AS_IN_BLENDER if hasattr(signal, "SIGPIPE") else ""}
+import time; from xihe_blender.lab.workers.processes import *
+print(bpy.app.tempdir, flush=True)
+with only_with_a_reader(1): time.sleep(60)
+"""
+    with subprocess.Popen([sys.executable, "-c", work], stdout=subprocess.PIPE, text=True) as process:
+        own_folder = Path(process.stdout.readline().strip())
+        assert own_folder.is_dir()
         process.stdout.close()
         assert process.wait(20) == EXIT_CRASHED
+    assert not own_folder.exists()
 
 
 def test_one_that_always_dies_is_named_and_the_others_are_done(scheduler, scripts):

@@ -56,12 +56,15 @@ def only_with_a_reader(pipe: int) -> Iterator[None]:
 
     Whether a pipe still has a reader shows only when it is written to, so an empty line is written every second.
     """
+    from xihenet.broken_pipes import broken_pipes_raise  # What runs this file as a program has not found it yet.
+
     is_over = threading.Event()
 
     def write() -> None:
         while not is_over.wait(1):
             try:
-                os.write(pipe, b"\n")
+                with broken_pipes_raise():
+                    os.write(pipe, b"\n")
             except OSError:
                 leave_blender(EXIT_CRASHED)
 
