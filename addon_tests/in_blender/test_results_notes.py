@@ -1,6 +1,7 @@
 """What notes say of a scene that was seen at an exposure which the user chose."""
 
 import math
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -15,6 +16,7 @@ from xihe_blender.previs.results_notes import (
     exposure_notes,
     faults_seen,
     frame_notes,
+    recorded_warnings,
     unanswered_notes,
     white_notes,
 )
@@ -72,6 +74,7 @@ def test_estimates_that_no_edge_service_gave_are_counted_and_others_not():
     frames = [from_json(FrameResult, runs.frame(1, *(runs.probe(**one) for one in (lost, other, {}, lost))))]
     (note,) = unanswered_notes(frames)
     assert note.startswith("The edge service did not answer 2 times: ")
+    assert recorded_warnings(SimpleNamespace(survey=SimpleNamespace(faults=())), frames) == [note]
     assert not list(unanswered_notes([from_json(FrameResult, runs.frame(1, runs.probe(**other)))]))
 
 

@@ -120,7 +120,7 @@ def assemble(
         comparison=comparison,
         summary=_summary(frames, comparison, run.sample_count.pilot_s, run.settings.estimator),
         notes=tuple(notes(run, frames, phone) if recording is None else recorded_notes(run, frames, recording)),
-        warnings=tuple(warnings(run, frames) if recording is None else recorded_warnings(run)),
+        warnings=tuple(warnings(run, frames) if recording is None else recorded_warnings(run, frames)),
         recording=recording,
     )
 

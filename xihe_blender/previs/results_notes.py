@@ -61,9 +61,9 @@ def warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
     ]
 
 
-def recorded_warnings(run: PreparedRun) -> list[str]:
+def recorded_warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
     """The same of `recorded_notes`."""
-    return [fault.said for fault in run.survey.faults]
+    return [*unanswered_notes(frames), *(fault.said for fault in run.survey.faults)]
 
 
 def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: RecordingResult) -> Iterator[str]:
@@ -77,7 +77,7 @@ def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: R
     if run.settings.has_reflections:
         yield "Glossy parts reflect what the phone saw of the room, and a guess where it saw nothing."
     yield from unknown_light_notes(frames)
-    yield from recorded_warnings(run)
+    yield from recorded_warnings(run, frames)
 
 
 def backend_notes(run: PreparedRun) -> Iterator[str]:
