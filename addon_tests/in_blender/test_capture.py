@@ -301,7 +301,6 @@ def test_a_render_leaves_no_line_on_the_terminal_about_a_file_of_ours(capfd):
 def test_another_thread_may_run_python_while_blender_renders():
     script = """
 import os, threading, time, bpy
-from xihe_blender.capture.cycles_device import DEVICE_VARIABLE
 from xihe_blender.capture.render import RenderSettings, render_scene, working_scene
 def wake():
     while True:
