@@ -30,15 +30,16 @@ def use_chosen_device(scene: bpy.types.Scene) -> None:
     UserError where this machine has no such device, or this Blender does not know the kind.
     """
     kind = _chosen()
-    if kind in ("", CPU):
-        scene.cycles.device = CPU if kind else scene.cycles.device
-        return
-    use_device(kind)
-    scene.cycles.device = "GPU"
+    if kind:
+        use_device(kind)
+        scene.cycles.device = CPU if kind == CPU else "GPU"
 
 
 def use_device(kind: str) -> None:
-    """Let Cycles use all devices of a kind, such as OPTIX, and no other; UserError as of `use_chosen_device`."""
+    """Let Cycles use all devices of a kind, such as OPTIX, and no other, or those of it that the preferences name.
+
+    UserError as of `use_chosen_device`.
+    """
     if kind == CPU:
         return
     cycles = _preferences()
