@@ -361,7 +361,12 @@ def test_how_long_says_the_time_of_the_run(tmp_path):
     for said in (state.run_estimate, state.budget_estimate):
         assert re.fullmatch(r"about \d+ (s|min|h).*", said)
     chosen, known = bpy.context.scene.xihe, (state.run_estimate, state.budget_estimate)
-    for name, other in (("preset", "accurate"), ("frame_end", 3), ("others", {"projection"})):
+    for name, other in (
+        ("preset", "accurate"),
+        ("frame_end", 3),
+        ("others", {"projection"}),
+        ("phone_file", "slow.toml"),
+    ):
         before = getattr(chosen, name)
         assert known_times(bpy.context) == known
         setattr(chosen, name, other)

@@ -20,6 +20,7 @@ OF_TIME = (
     "light",
     "captures_path",
     "phone",
+    "phone_file",
     "network",
     "use_own_size",
     "size",
