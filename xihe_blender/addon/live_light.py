@@ -91,10 +91,9 @@ def show_found(
     """Light the virtual objects of `scene` that are still there with what was found."""
     from xihe_blender.addon.results_in_blender import show_found_light
 
-    here = {item.name for item in virtual_objects(scene)}
+    here, looks = {item.name for item in virtual_objects(scene)}, bpy.context.window_manager.xihe.looks
     for name in [name for name in places if name in here]:
         show_found_light(scene, folder, name, places[name], found[name])
-        looks = bpy.context.window_manager.xihe.looks
         if name in looks:  # Where to look was asked for the place that it had.
             looks.remove(looks.find(name))
 
