@@ -140,11 +140,13 @@ def test_an_object_in_millimetres_far_from_the_origin_stands_still():
         np.testing.assert_allclose(move, np.eye(4), atol=1e-6)
 
 
-def test_an_object_without_a_face_is_a_whole_file():
+@pytest.mark.parametrize("kind", ["mesh", "curve"])
+def test_an_object_without_a_face_is_a_whole_file(kind):
     scene = walk()
-    ball = bpy.data.objects["Ball"]
-    ball.data.clear_geometry()
-    glb = viewed_objects(scene, [ball], [1])[0].glb
+    data = bpy.data.meshes.new("Empty") if kind == "mesh" else bpy.data.curves.new("Empty", "CURVE")
+    empty = bpy.data.objects.new("Empty", data)
+    scene.collection.objects.link(empty)
+    glb = viewed_objects(scene, [empty], [1])[0].glb
     assert int.from_bytes(glb[8:12], "little") == len(glb)
 
 

@@ -95,9 +95,10 @@ def _y_up(move: ArrayF64, metres: float) -> ArrayF64:
 
 def _n_triangles(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int:
     evaluated = item.evaluated_get(depsgraph)
-    if evaluated.type not in ("MESH", "CURVE", "SURFACE", "META", "FONT"):
+    has_faces = evaluated.type in ("MESH", "CURVE", "SURFACE", "META", "FONT")
+    mesh = evaluated.to_mesh() if has_faces else None
+    if mesh is None:  # As of a curve without a spline.
         return 0
-    mesh = evaluated.to_mesh()
     mesh.calc_loop_triangles()
     n = len(mesh.loop_triangles)
     evaluated.to_mesh_clear()
