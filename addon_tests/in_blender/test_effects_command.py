@@ -208,5 +208,5 @@ def test_results_name_the_users_overrides_and_the_given_ones_win(blend, tmp_path
     assert results["settings"]["effect_choices"] == {"light tree": "off", **chosen}
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "volume_bounces 32" in report and "you turned it on" in report
-    with pytest.raises(UserError, match="another effect choices"):
+    with pytest.raises(UserError, match="another choice of effects"):
         run(scene, tmp_path / "out", replace(settings, effect_choices={}))

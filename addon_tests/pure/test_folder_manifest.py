@@ -54,6 +54,7 @@ def test_of_two_who_come_at_once_the_second_writes_nothing(tmp_path):
         ({"settings": {"seed": 1, "size": (32, 24)}}, "a run with another seed:"),
         ({"settings": {"seed": 1, "size": (32, 20)}}, "another seed, size:"),
         ({"settings": {"seed": 0, "size": (32, 24), "noise_target": 0.1}}, "another noise target:"),
+        ({"settings": {"seed": 0, "size": (32, 24), "effect_choices": {}}}, "another choice of effects:"),
         ({"frames": (1,)}, "a run with other frames:"),
         ({"xihe": "2.0", "frames": (1,)}, "another version of xihe:"),
         ({"blender": "5.2"}, "another version of Blender:"),

@@ -32,6 +32,9 @@ WORDS = {
     "blend_sha256": "scene file",
     "linked_sha256": "library, image or other file that the scene reads",
     "weights": "training of its networks",
+    "effect_choices": "choice of effects",
+    "between_estimates": "light between estimates",
+    "n_anchors": "number of anchors",
 }
 
 
