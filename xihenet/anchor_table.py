@@ -13,23 +13,21 @@ trigonometry, and its cells shrink to slivers at the poles.
 Why it is exact. A cell lies in one face of the octahedron, continued beyond the equator, where the lead of anchor i
 over anchor j, (a_i - a_j) . p, is linear: i beats j everywhere in a cell if and only if it does at the four corners.
 The build halves cells and drops from each the anchors that another one beats in this way; corner scores of the quarters
-are averages of the whole's. Where two anchors are left, as in nearly all small cells, only the lead of one is kept.
-What is left when the cells have their final size is the list. `_MARGIN` covers points that float32 rounding puts into
-the cell beside theirs.
+are averages of the whole's. What is left when the cells have their final size is the list. `_MARGIN` covers points that
+float32 rounding puts into the cell beside theirs.
 
 Not here: anything about lattices. The table works for any set of different unit vectors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
+from xihenet.records import ArrayF32, ArrayF64, ArrayInt
 
 # With e = 2^-24: conversion, sums, division and product move p_x and p_y by 6 e of their size, the sum that makes them
 # positive by e of at most 3 together, so p by at most 9 sqrt(2) e and the lead of one anchor over another, whose
@@ -113,36 +111,6 @@ class _Cells:
     anchors: ArrayInt  # (M,) candidates of all cells, in rising order within a cell; M is the sum of `lengths`
     scores: ArrayF32  # (2, 2, M) anchor . corner at the cell's corners, [row, column]
 
-    def starts(self) -> ArrayInt:
-        """(C,) where each cell's candidates begin."""
-        return np.cumsum(self.lengths) - self.lengths
-
-    def select(self, cells: ArrayBool) -> _Cells:
-        """Only the cells that are marked."""
-        kept = np.flatnonzero(np.repeat(cells, self.lengths))
-        of_cells = self.layer[cells], self.row[cells], self.column[cells], self.lengths[cells]
-        # `take` along the last axis is several times as fast as an index of it.
-        return _Cells(*of_cells, self.anchors[kept], self.scores.take(kept, axis=-1))
-
-
-@dataclass(frozen=True, eq=False)
-class _Pairs:
-    """Cells of one level in which either of two anchors can win: of small cells nearly all that are undecided."""
-
-    layer: ArrayInt  # (C,), as of `_Cells`
-    row: ArrayInt
-    column: ArrayInt
-    anchors: ArrayInt  # (2, C) in rising order
-    leads: ArrayF32  # (2, 2, C) of the second over the first at the cell's corners, [row, column]
-
-    def select(self, cells: ArrayBool) -> _Pairs:
-        """Only the cells that are marked."""
-        kept = np.flatnonzero(cells)
-        return _Pairs(*(getattr(self, part.name).take(kept, axis=-1) for part in fields(self)))
-
-
-_T = TypeVar("_T", _Cells, _Pairs)
-
 
 def cells_for(n_anchors: int) -> int:
     """How many cells along an edge of a layer suit a lattice.
@@ -160,23 +128,13 @@ def build_anchor_table(directions: ArrayF64, n_cells: int) -> AnchorTable:
     """
     if n_cells < 2 or n_cells & (n_cells - 1):
         raise ValueError(f"n_cells: expected a power of two of at least 2, got {n_cells}")
-    cells = _without_losers(_first_cells(directions))
     codes = np.zeros((2, 2, 2), np.int32)
-    pairs = _pairs_of(cells.select(np.zeros(len(cells.lengths), bool)))
-    while True:
-        decided, is_pair = cells.lengths == 1, cells.lengths == 2
-        codes[cells.layer[decided], cells.row[decided], cells.column[decided]] = cells.anchors[cells.starts()[decided]]
-        pairs = _joined([pairs, _pairs_of(cells.select(is_pair))])
-        cells = cells.select(cells.lengths > 2)
-        if codes.shape[1] == n_cells:
-            break
-        n_side = codes.shape[1]
-        codes = _doubled(codes)
-        cells, pairs = _halved(cells, n_side), _halved_pairs(pairs, n_side, codes)
-    lengths = np.append(np.full(len(pairs.row), 2), cells.lengths)
-    lists, list_of_cell = _unique_lists(lengths, np.append(pairs.anchors.T, cells.anchors), len(directions))
-    layer, row, column = (np.append(getattr(pairs, k), getattr(cells, k)) for k in ("layer", "row", "column"))
-    codes[layer, row, column] = len(directions) + list_of_cell
+    cells = _undecided(_first_cells(directions), codes)
+    while codes.shape[1] < n_cells:
+        codes = codes.repeat(2, axis=1).repeat(2, axis=2)
+        cells = _halved(cells, codes)
+    lists, list_of_cell = _unique_lists(cells, len(directions))
+    codes[cells.layer, cells.row, cells.column] = len(directions) + list_of_cell
     return _finished(directions, codes, lists)
 
 
@@ -209,11 +167,18 @@ def _first_cells(directions: ArrayF64) -> _Cells:
     return _Cells(layer, row, column, np.full(8, n), every, np.concatenate(scores, axis=2))
 
 
-def _without_losers(cells: _Cells) -> _Cells:
-    """Drop each candidate that the cell's strongest one beats at all four corners, by more than the margin."""
+def _undecided(cells: _Cells, codes: NDArray[np.int32]) -> _Cells:
+    """The cells that several candidates can win, with these; the winner of any other cell is written to `codes`.
+
+    A candidate goes if the cell's strongest one beats it at all four corners, by more than the margin.
+    """
     if not len(cells.lengths):
         return cells
-    starts = cells.starts()
+    # Only where |x| + |y| <= 1 somewhere: the corner nearest to the middle, in cells from there, decides.
+    half = codes.shape[1] // 2
+    x, y = (np.where(k < half, half - 1 - k, k - half) for k in (cells.column, cells.row))
+    is_reached = x + y <= half
+    starts = np.cumsum(cells.lengths) - cells.lengths
     strength = cells.scores.sum(axis=(0, 1))
     strongest = np.maximum.reduceat(strength, starts)
     position = np.where(strength == np.repeat(strongest, cells.lengths), np.arange(len(strength)), len(strength))
@@ -221,78 +186,37 @@ def _without_losers(cells: _Cells) -> _Cells:
     lead = cells.scores.take(np.repeat(leader, cells.lengths), axis=-1) - cells.scores
     can_win = lead.min(axis=(0, 1)) <= _MARGIN
     lengths = np.add.reduceat(can_win.astype(np.intp), starts)
-    kept = np.flatnonzero(can_win)
-    scores = cells.scores.take(kept, axis=-1)
-    return _Cells(cells.layer, cells.row, cells.column, lengths, cells.anchors[kept], scores)
+    decided, is_open = is_reached & (lengths == 1), is_reached & (lengths > 1)
+    codes[cells.layer[decided], cells.row[decided], cells.column[decided]] = cells.anchors[leader[decided]]
+    kept = np.flatnonzero(can_win & np.repeat(is_open, cells.lengths))
+    of_cells = cells.layer[is_open], cells.row[is_open], cells.column[is_open], lengths[is_open]
+    # `take` along the last axis is several times as fast as an index of it.
+    return _Cells(*of_cells, cells.anchors[kept], cells.scores.take(kept, axis=-1))
 
 
-def _doubled(codes: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Each cell's code in its four quarters; an eighth of the time of two calls of `repeat`."""
-    doubled = np.empty((2, codes.shape[1], 2, codes.shape[1], 2), np.int32)
-    doubled[:, :, 0, :, 0] = doubled[:, :, 0, :, 1] = codes
-    doubled[:, :, 1] = doubled[:, :, 0]
-    return doubled.reshape(2, 2 * codes.shape[1], -1)
-
-
-def _halved(cells: _Cells, n_side: int) -> _Cells:
-    """The four quarters of each cell of a grid of `n_side`, without the candidates that cannot win there."""
-    quarters = []
-    for row, column, scores in _quarters(cells, cells.scores):
-        quarter = _Cells(cells.layer, row, column, cells.lengths, cells.anchors, scores)
-        quarters.append(_without_losers(quarter.select(_is_reached(row, column, n_side))))
-    return _joined(quarters)
-
-
-def _halved_pairs(pairs: _Pairs, n_side: int, codes: NDArray[np.int32]) -> _Pairs:
-    """The quarters that are undecided; the winner of each other one is written to `codes`."""
-    quarters = []
-    for row, column, leads in _quarters(pairs, pairs.leads):
-        quarter = _Pairs(pairs.layer, row, column, pairs.anchors, leads).select(_is_reached(row, column, n_side))
-        is_second = quarter.leads.min(axis=(0, 1)) > _MARGIN
-        is_decided = is_second | (quarter.leads.max(axis=(0, 1)) < -_MARGIN)
-        winners = np.where(is_second, quarter.anchors[1], quarter.anchors[0])[is_decided]
-        codes[quarter.layer[is_decided], quarter.row[is_decided], quarter.column[is_decided]] = winners
-        quarters.append(quarter.select(~is_decided))
-    return _joined(quarters)
-
-
-def _quarters(cells: _Cells | _Pairs, corners: ArrayF32) -> Iterator[tuple[ArrayInt, ArrayInt, ArrayF32]]:
-    """Row, column and corner values of the four quarters of each cell: averages of the (2, 2, M) of the whole."""
-    grid = np.empty((3, 3, corners.shape[2]), np.float32)
-    grid[::2, ::2] = corners
-    grid[1, ::2] = (corners[0] + corners[1]) / 2
-    grid[::2, 1] = (corners[:, 0] + corners[:, 1]) / 2
+def _halved(cells: _Cells, codes: NDArray[np.int32]) -> _Cells:
+    """The undecided ones among the four quarters of each cell; `codes` are those of the finer grid."""
+    grid = np.empty((3, 3, len(cells.anchors)), np.float32)
+    grid[::2, ::2] = cells.scores
+    grid[1, ::2] = (cells.scores[0] + cells.scores[1]) / 2
+    grid[::2, 1] = (cells.scores[:, 0] + cells.scores[:, 1]) / 2
     grid[1, 1] = (grid[0, 1] + grid[2, 1]) / 2
+    quarters = []
     for i, j in np.ndindex(2, 2):
-        yield 2 * cells.row + i, 2 * cells.column + j, grid[i : i + 2, j : j + 2]
+        scores = grid[i : i + 2, j : j + 2]
+        quarter = _Cells(cells.layer, 2 * cells.row + i, 2 * cells.column + j, cells.lengths, cells.anchors, scores)
+        quarters.append(_undecided(quarter, codes))
+    return _Cells(*(np.concatenate([getattr(q, part.name) for q in quarters], axis=-1) for part in fields(_Cells)))
 
 
-def _is_reached(row: ArrayInt, column: ArrayInt, n_side: int) -> ArrayBool:
-    """Where |x| + |y| <= 1 somewhere: the corner nearest to the middle, in quarters from there, decides."""
-    x, y = (np.where(k < n_side, n_side - 1 - k, k - n_side) for k in (column, row))
-    is_reached: ArrayBool = x + y <= n_side
-    return is_reached
-
-
-def _pairs_of(cells: _Cells) -> _Pairs:
-    """Cells that have two candidates each."""
-    leads = cells.scores[:, :, 1::2] - cells.scores[:, :, ::2]
-    return _Pairs(cells.layer, cells.row, cells.column, cells.anchors.reshape(-1, 2).T, leads)
-
-
-def _joined(parts: list[_T]) -> _T:
-    kind = type(parts[0])
-    return kind(*(np.concatenate([getattr(part, f.name) for part in parts], axis=-1) for f in fields(kind)))
-
-
-def _unique_lists(lengths: ArrayInt, anchors: ArrayInt, n_anchors: int) -> tuple[ArrayInt, ArrayInt]:
+def _unique_lists(cells: _Cells, n_anchors: int) -> tuple[ArrayInt, ArrayInt]:
     """The different candidate lists, (S, K) padded with -1 and shortest first, and the number of each cell's list."""
-    n_columns = max(3, int(lengths.max(initial=0)))
-    starts = np.cumsum(lengths) - lengths
-    table = np.full((len(lengths), n_columns), -1, np.intp)
-    rows = np.repeat(np.arange(len(lengths)), lengths)
-    table[rows, np.arange(len(rows)) - starts[rows]] = anchors
-    first, list_of_cell = np.zeros(0, np.intp), lengths
+    n_columns = max(3, int(cells.lengths.max(initial=0)))
+    starts = np.cumsum(cells.lengths) - cells.lengths
+    table = np.full((len(starts), n_columns), -1, np.intp)
+    rows = np.repeat(np.arange(len(starts)), cells.lengths)
+    table[rows, np.arange(len(rows)) - starts[rows]] = cells.anchors
+    first, list_of_cell = np.zeros(0, np.intp), cells.lengths
     for i in range(0, n_columns, 2):
         # Two columns at a time: with fewer than 2^24 cells and 2^17 anchors the key stays below 2^58.
         key = list_of_cell
