@@ -14,7 +14,6 @@ Rejected as slower by more than a magnitude: a k-d tree, which also needs SciPy,
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import index
@@ -87,7 +86,7 @@ class AnchorLattice:
     def neighbours(self, k: int) -> ArrayInt:
         """(n, k) for each anchor itself and its k - 1 nearest, nearest first, lower index first if equally near.
 
-        0.02 s for 2048 anchors, 2.5 s for 65,536. Cached, read-only. ValueError unless 0 < k <= n.
+        0.02 s for 2048 anchors, 1.7 s for 65,536. Cached, read-only. ValueError unless 0 < k <= n.
         """
         if not 1 <= k <= self.n:
             raise ValueError(f"neighbours: expected 1 to {self.n} neighbours of {self.n} anchors, got {k}")
@@ -207,7 +206,7 @@ def _neighbours(n: int, k: int) -> ArrayInt:
         return few
     directions = _lattice_directions(n)
     neighbours = np.empty((n, k), np.intp)
-    band = 2 * math.isqrt(n * k) + 1
+    band = k
     for start in range(0, n, _ROWS):
         own = directions[start : start + _ROWS]
         while True:
