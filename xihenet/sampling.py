@@ -291,7 +291,7 @@ def sample_farthest(cloud: PointCloud, n: int, rng: np.random.Generator) -> Poin
     if points_m.dtype == np.float64:  # It calculates in float32, which is too coarse so far from the origin.
         points_m = points_m - points_m[first]
     # Of its methods the bucket one is the fastest, and exact; 2^7 points per bucket suit some 50,000 points.
-    picked = fpsample.bucket_fps_kdline_sampling(points_m, n, h=7, start_idx=first)
+    picked = fpsample.bucket_fps_kdline_sampling(points_m, n, h=min(7, len(usable).bit_length() - 1), start_idx=first)
     return _chosen(cloud, usable[np.asarray(picked, np.intp)])
 
 

@@ -141,12 +141,12 @@ def test_uniform_sampling_favours_no_point():
 
 
 @NEEDS_FPSAMPLE
-@pytest.mark.parametrize("origin_m", [0.0, 5e6])
-def test_each_farthest_point_is_the_farthest_from_those_before_it(origin_m):
-    cloud = random_cloud(np.random.default_rng(16), 3000)
+@pytest.mark.parametrize(("n_points", "origin_m"), [(3000, 0.0), (3000, 5e6), (61, 0.0)])
+def test_each_farthest_point_is_the_farthest_from_those_before_it(n_points, origin_m):
+    cloud = random_cloud(np.random.default_rng(16), n_points)
     cloud = PointCloud(cloud.points_m.astype(np.float64) + origin_m, cloud.srgb)
     picked = sample_farthest(cloud, 60, np.random.default_rng(17)).points_m.astype(np.float64)
-    gap_m = np.full(3000, np.inf)
+    gap_m = np.full(n_points, np.inf)
     for point, following in pairwise(picked):
         gap_m = np.minimum(gap_m, np.linalg.norm(cloud.points_m - point, axis=1))
         gap_of_following_m = gap_m[(cloud.points_m == following).all(axis=1)]
