@@ -289,7 +289,7 @@ def sample_farthest(cloud: PointCloud, n: int, rng: np.random.Generator) -> Poin
     first = int(rng.integers(len(usable)))
     points_m = cloud.points_m[usable]
     if points_m.dtype == np.float64:  # It calculates in float32, which is too coarse so far from the origin.
-        points_m = points_m - points_m[first]
+        points_m = _relative_columns(points_m, points_m[first]).T
     # Of its methods the bucket one is the fastest, and exact; 2^7 points per bucket suit some 50,000 points.
     picked = fpsample.bucket_fps_kdline_sampling(points_m, n, h=min(7, len(usable).bit_length() - 1), start_idx=first)
     return _chosen(cloud, usable[np.asarray(picked, np.intp)])
@@ -393,10 +393,12 @@ def has_usable_points(cloud: PointCloud) -> bool:
 
 
 def _finite_points(cloud: PointCloud, n: int) -> ArrayInt:
-    """Numbers of the points whose place and colour are finite."""
+    """Numbers of the points whose place and colour are finite as float32."""
     if n < 0:
         raise ValueError(f"n: expected 0 points or more, got {n}")
-    return np.flatnonzero(np.isfinite(cloud.points_m).all(axis=1) & np.isfinite(cloud.srgb).all(axis=1))
+    with np.errstate(over="ignore"):
+        points_m = cloud.points_m.astype(np.float32, copy=False)
+    return np.flatnonzero(np.isfinite(points_m).all(axis=1) & np.isfinite(cloud.srgb).all(axis=1))
 
 
 def _chosen(cloud: PointCloud, numbers: ArrayInt) -> PointCloud:

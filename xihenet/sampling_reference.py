@@ -33,8 +33,8 @@ LARGEST_FLOAT32 = np.finfo(np.float32).max
 def sample_unit_sphere_reference(cloud: PointCloud, position_m: ArrayLike, lattice: AnchorLattice) -> UnitSphereCloud:
     """As `sample_unit_sphere`."""
     position = checked_position(position_m)
-    relative = cloud.points_m.astype(np.float64) - position
     with np.errstate(over="ignore", invalid="ignore"):  # A distance beyond float32 is left out and counted below.
+        relative = cloud.points_m.astype(np.float64) - position
         distance_m = np.sqrt((relative * relative).sum(axis=1)).astype(np.float32)
     is_usable = np.isfinite(distance_m) & (distance_m > 0) & np.isfinite(cloud.srgb).all(axis=1)
     nearest_m, winner = np.full(lattice.n, np.inf, np.float32), np.full(lattice.n, -1)

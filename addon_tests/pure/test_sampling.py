@@ -30,14 +30,14 @@ def assert_same(a, b, rtol=4e-7):
     assert a.invalid == b.invalid
 
 
-def nasty_cloud(rng):
+def nasty_cloud(rng, dtype=np.float32):
     """Bad points and colours, points at the position, twins, and distances from 1e-30 to 1e30, among ordinary ones."""
     directions = rng.normal(size=(400, 3))
     lengths = 10.0 ** rng.uniform(-30, 30, (400, 1))
-    points = np.concatenate([directions, directions * lengths, directions[:100], np.zeros((3, 3))]).astype(np.float32)
+    points = np.concatenate([directions, directions * lengths, directions[:100], np.zeros((3, 3))]).astype(dtype)
     srgb = rng.random(points.shape, np.float32)
     points[5], points[50, 1], points[60, 2] = np.nan, np.inf, -np.inf
-    points[70] = 3e38  # its distance overflows float32
+    points[70] = 0.9 * np.finfo(dtype).max  # its distance overflows
     srgb[80], srgb[90, 1] = np.nan, np.inf
     return PointCloud(points, srgb)
 
@@ -52,8 +52,10 @@ def test_sampling_agrees_with_the_reference_on_random_points(n, n_points, seed):
 
 @pytest.mark.parametrize("n", [1, 2, 64, 1280])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_sampling_agrees_with_the_reference_on_nasty_points(n, seed):
-    cloud, lattice = nasty_cloud(np.random.default_rng(seed)), AnchorLattice(n)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_sampling_agrees_with_the_reference_on_nasty_points(n, seed, dtype):
+    cloud, lattice = nasty_cloud(np.random.default_rng(seed), dtype), AnchorLattice(n)
+    assert cloud.points_m.dtype == dtype
     sampled = sample_unit_sphere(cloud, ORIGIN, lattice)
     assert_same(sampled, sample_unit_sphere_reference(cloud, ORIGIN, lattice))
     assert sampled.n_invalid_points == 3 + 1 + 2 + 3
@@ -108,6 +110,14 @@ def test_baselines_pick_different_usable_points_with_their_own_colours(sample):
     pairs = {(*point, *colour) for point, colour in zip(cloud.points_m, cloud.srgb, strict=True)}
     chosen = {(*point, *colour) for point, colour in zip(picked.points_m, picked.srgb, strict=True)}
     assert len(chosen) == 128 and chosen <= pairs
+
+
+@pytest.mark.parametrize("sample", BASELINES)
+def test_baselines_leave_out_points_that_float32_cannot_hold(sample):
+    points_m = np.random.default_rng(11).normal(size=(40, 3))
+    points_m[7] = 1e300
+    picked = sample(PointCloud(points_m, np.zeros((40, 3))), 38, np.random.default_rng(12))
+    assert np.abs(picked.points_m).max() < 10
 
 
 @pytest.mark.parametrize("sample", BASELINES)
