@@ -116,7 +116,8 @@ def test_the_clean_form_says_what_the_published_one_cannot():
     [
         ({}, "Xihe-Exposure"),
         ({"Xihe-Exposure": "0"}, "Xihe-Exposure"),
-        ({"Xihe-Exposure": "nan"}, "Xihe-Exposure: expected a number, got"),
+        ({"Xihe-Exposure": "nan"}, "Xihe-Exposure: expected a finite number, got"),
+        ({"Xihe-Exposure": "2e9"}, r"Xihe-Exposure: expected 1e-06 to 1e\+06, got"),
         ({"Xihe-Exposure": "1", "Xihe-Position": "1,2"}, "Xihe-Position: expected 3"),
         ({"Xihe-Exposure": "1", "Xihe-Position": "-1e308,0,0"}, r"Xihe-Position: expected 3 numbers from -1e\+09"),
         ({"Xihe-Exposure": "1", "Xihe-Ambient": "1,2,-3"}, "Xihe-Ambient"),

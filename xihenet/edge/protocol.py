@@ -19,6 +19,7 @@ say in headers: exposure, axes, position, ambient light.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
@@ -149,7 +150,7 @@ def content_type_of(method: EncodingMethod) -> str:
 
 
 def _numbers(headers: Mapping[str, str], name: str, n: int) -> tuple[float, ...] | None:
-    """`n` numbers up to `MOST` with commas between them; None without the header."""
+    """`n` numbers with commas between them, several up to `MOST` each; None without the header."""
     text = headers.get(name)
     if text is None:
         return None
@@ -157,8 +158,9 @@ def _numbers(headers: Mapping[str, str], name: str, n: int) -> tuple[float, ...]
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != n or not all(abs(number) <= MOST for number in numbers):
-        expected = "a number" if n == 1 else f"{n} numbers from -{MOST:g} to {MOST:g} with commas between them"
+    most = sys.float_info.max if n == 1 else MOST
+    if len(numbers) != n or not all(abs(number) <= most for number in numbers):
+        expected = "a finite number" if n == 1 else f"{n} numbers from -{MOST:g} to {MOST:g} with commas between them"
         raise ValueError(f"{name}: expected {expected}, got {text[:80]!r}")
     return numbers
 
