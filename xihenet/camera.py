@@ -105,8 +105,8 @@ def unproject_frame(frame: RgbdFrame, *, reference_exposure: float | None = None
     that sees nothing may be broken.
 
     float32 arithmetic: the error of a point is about 2e-7 of its distance from the camera plus that of storing it, 6e-8
-    of its distance from the world's origin, or 1e-16 for a camera beyond FLOAT32_TO_M. A point whose distance from the
-    camera is beyond the range of float32 is infinite or NaN.
+    of its distance from the world's origin, or 1e-16 for a camera beyond FLOAT32_TO_M. A point is infinite or NaN where
+    the camera's place, or the point as seen from there, is beyond the range of float32.
     """
     valid = valid_plane_depth(frame.plane_depth_m)
     depth_m = with_openings(frame.plane_depth_m, valid)
