@@ -71,7 +71,8 @@ class Row(NamedTuple):
 
 def unprojecting() -> Iterator[Row]:
     for name, place_m, bound_m in (
-        ("in a room", 3.0, 2e-6), ("1 km away", 1e3, 6e-5), ("5,000 km away, kept in float64,", 5e6, 2e-6),
+        ("in a room", 3.0, 2e-6), ("1 km away", 1e3, 6e-5), ("8 km away", 8e3, 5e-4),
+        ("5,000 km away, kept in float64,", 5e6, 2e-6),
     ):  # fmt: skip
         error_m = max(unprojecting_error_m(place_m, seed) for seed in range(5))
         yield Row("unproject", f"float32, {name} on each axis", "float64", error_m, bound_m, "m")
