@@ -113,6 +113,14 @@ def test_a_recording_in_the_coordinates_of_a_map_is_said_to_be_too_far_away(tmp_
     assert ("500 km from the origin" in " ".join(made.said)) is is_far
 
 
+def test_a_phone_that_loses_its_way_in_its_first_frame_still_scans_the_room(tmp_path):
+    lost, *others = walk(CENTRED, 3)
+    there = lost.world_from_camera.copy()
+    there[:3, 3] += 50_000
+    _, made, _ = imported(tmp_path, [replace(lost, world_from_camera=there), *others])
+    assert (np.abs(array_of(made.scan.data.vertices, "co", np.float32, 3)) < 10).all()
+
+
 def test_a_lens_that_zooms_is_keyed_and_others_are_not(tmp_path):
     zooming = [Intrinsics(64, 48, 40.0 + i, 40.0 + i, 32.0, 24.0) for i in range(4)]
     frames = [seen(k, looking(0.1 * i, 0.0, (0, 0, 0)), 1 + i, i / 30) for i, k in enumerate(zooming)]

@@ -136,7 +136,7 @@ def test_a_recording_far_from_its_origin_has_the_same_surfaces():
     frame = seen(K, looking(0, 0, (0.3, 0, 0)))
     away_m, there = np.array([30_000, -40_000, 80]), frame.world_from_camera.copy()  # Whole blocks
     there[:3, 3] += away_m
-    near, far = mesh_of([frame]), mesh_of([replace(frame, world_from_camera=there)])
+    near, far = mesh_of([frame]), mesh_of([replace(frame, world_from_camera=there)], origin_m=away_m)
     assert len(near.quads) and (near.quads == far.quads).all()
     np.testing.assert_allclose(
         far.points_m - near.points_m, np.broadcast_to((30_000, -40_000, 80), far.points_m.shape), atol=3e-3

@@ -165,7 +165,9 @@ def _read(capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Foot
     """A job: the pictures, the surfaces they show, and the first frame."""
     chosen = {id(capture.frames[place]) for place in frames_to_scan(capture)}
     first = read_captured(next(iter(numbered.values())))
-    scan = Scan(capture.reference_exposure or first.exposure)
+    places_m = [captured.camera.world_from_camera[:3, 3] for captured in capture.frames]
+    # The middle one: a phone that loses its way may tell of places far away.
+    scan = Scan(capture.reference_exposure or first.exposure, origin_m=np.median(places_m, axis=0))
     for done, (number, captured) in enumerate(numbered.items()):
         yield Progress(done, len(numbered), f"reading frame {number}")
         is_scanned = id(captured) in chosen

@@ -97,8 +97,8 @@ class Scan:
     exposure: float = 1.0
     settings: ScanSettings = ScanSettings()
     is_cut: bool = False
-    _origin: ArrayInt | None = None
-    """(3,) the block from which all others are counted, so that keys hold them wherever a recording lies."""
+    origin_m: ArrayF64 = field(default_factory=lambda: np.zeros(3))
+    """(3,) world: amid the recording. Surfaces beyond some kilometres from there are left out."""
     _slots: dict[int, int] = field(default_factory=dict)
     """Place of a block in the arrays below, by its key."""
     _blocks: ArrayInt = field(default_factory=lambda: np.zeros((0, 3), np.int64))
@@ -108,12 +108,16 @@ class Scan:
     _colours: ArrayF32 = field(default_factory=lambda: np.zeros((0, SIDE**3, 4), np.float32))
     """Weighted sums of linear light, and of weights."""
 
+    @property
+    def _origin(self) -> ArrayInt:
+        """(3,) the block from which all others are counted, so that keys hold them wherever a recording lies."""
+        origin: ArrayInt = np.floor(self.origin_m / (self.settings.voxel_m * SIDE)).astype(np.int64)
+        return origin
+
     def add(self, frame: RgbdFrame) -> None:
         """Take in what one frame shows; nothing where it has no valid depth."""
         seen = _Seen.of(frame, self.exposure)
-        if self._origin is None:
-            self._origin = np.floor(seen.world_from_camera[:3, 3] / (self.settings.voxel_m * SIDE)).astype(np.int64)
-        slots = self._touched(seen, self._origin)
+        slots = self._touched(seen)
         if not len(slots):
             return
         reach_m = self.settings.voxel_m * self.settings.reach_voxels
@@ -141,13 +145,13 @@ class Scan:
         coloured *= weights[near].repeat(4).reshape(-1, 4)  # Faster than one factor for each four
         self._colours.reshape(-1, 4)[voxels[near]] += coloured
 
-    def _touched(self, seen: _Seen, origin: ArrayInt) -> ArrayInt:
+    def _touched(self, seen: _Seen) -> ArrayInt:
         """Places of the blocks around the surfaces of a frame, made where they are new."""
         points_m, rays = seen.surface_points()
         reach_m, side_m = self.settings.voxel_m * self.settings.reach_voxels, self.settings.voxel_m * SIDE
         keys: set[int] = set()
         for along_m in (-reach_m, 0.0, reach_m):
-            blocks = np.floor((points_m + along_m * rays) / side_m - OFFSET / SIDE).astype(np.int64) - origin
+            blocks = np.floor((points_m + along_m * rays) / side_m - OFFSET / SIDE).astype(np.int64) - self._origin
             is_inside = (np.abs(blocks) < _ZERO // SIDE).all(axis=1)
             keys |= set(np.unique(_keys(blocks[is_inside])).tolist())
         new = sorted(keys - self._slots.keys())
@@ -181,8 +185,7 @@ class Scan:
         n_around = np.bincount(quads.ravel(), minlength=len(keys))
         sums = [np.bincount(quads.ravel(), values.repeat(4), len(keys)) for values in of_edges.T]
         found = np.stack(sums, axis=1) / n_around[:, None] if len(keys) else np.zeros((0, 6))
-        origin = np.zeros(3) if self._origin is None else self._origin * SIDE
-        points_m, light = (found[:, :3] + origin + OFFSET) * self.settings.voxel_m, found[:, 3:]
+        points_m, light = (found[:, :3] + self._origin * SIDE + OFFSET) * self.settings.voxel_m, found[:, 3:]
         return _without_pieces(ScanMesh(points_m.astype(np.float32), quads, light.astype(np.float32), self.is_cut))
 
     def _crossings(self, axis: int, distances: ArrayF32, is_near: ArrayBool, colours: ArrayF32) -> _Crossings:
