@@ -396,7 +396,7 @@ def _finite_points(cloud: PointCloud, n: int) -> ArrayInt:
     """Numbers of the points whose place and colour are finite as float32."""
     if n < 0:
         raise ValueError(f"n: expected 0 points or more, got {n}")
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"):  # What float32 cannot hold is infinite, and left out below.
         points_m = cloud.points_m.astype(np.float32, copy=False)
     return np.flatnonzero(np.isfinite(points_m).all(axis=1) & np.isfinite(cloud.srgb).all(axis=1))
 
