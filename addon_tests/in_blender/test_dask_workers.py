@@ -65,11 +65,11 @@ def test_a_blender_ends_without_a_trace_when_nobody_reads_it_any_more():
     work = f"""
 {AS_IN_BLENDER if hasattr(signal, "SIGPIPE") else ""}
 import time; from xihe_blender.lab.workers.processes import *
-print(bpy.app.tempdir, flush=True)
+print("in", bpy.app.tempdir, flush=True)
 with only_with_a_reader(1): time.sleep(60)
 """
     with subprocess.Popen([sys.executable, "-c", work], stdout=subprocess.PIPE, text=True) as process:
-        own_folder = Path(process.stdout.readline().strip())
+        own_folder = Path(next(line for line in process.stdout if line.startswith("in "))[3:].strip())
         assert own_folder.is_dir()
         process.stdout.close()
         assert process.wait(20) == EXIT_CRASHED

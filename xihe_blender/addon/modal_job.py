@@ -144,6 +144,7 @@ def in_thread(work: Callable[[], object], doing: str) -> Job[None]:
 
     thread = threading.Thread(target=run)
     thread.start()
+    yield Progress(0, 1, doing)  # Also where the work ends at once
     while thread.is_alive():
         yield Progress(0, 1, doing)
     if failures:
