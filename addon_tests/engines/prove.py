@@ -305,6 +305,8 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--engines", type=lambda text: text.split(","), default=list(ENGINES))
     options = parser.parse_args()
+    if unknown := set(options.engines) - set(ENGINES):
+        parser.error(f"--engines: choose among {', '.join(ENGINES)}, got {', '.join(sorted(unknown))}")
     out, lights = options.out.resolve(), lights_to_prove()
     names = [*lights, *(f"mistake_{number}" for number in range(len(MISTAKES)))]
     by_engine = {}
