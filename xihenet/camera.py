@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.colour import LINEAR_OF_CODE, linear_to_srgb
 from xihenet.invalid import counted, left_out
 from xihenet.openings import with_openings
 from xihenet.records import (
@@ -341,7 +341,7 @@ def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
     """
     counts = np.stack([np.bincount(srgb_u8[..., channel].reshape(-1), minlength=256) for channel in range(3)])
     shares = counts / srgb_u8[..., 0].size
-    mean: ArrayF64 = (shares * srgb_to_linear(np.arange(256) / 255.0)).sum(axis=1) / exposure
+    mean: ArrayF64 = (shares * LINEAR_OF_CODE).sum(axis=1) / exposure
     return mean
 
 
@@ -366,4 +366,4 @@ def _reencoded_bytes(gain: float) -> ArrayF32:
     """(256,) float32: the encoded colour of each byte after its light was multiplied by `gain` and clipped."""
     if not (np.isfinite(gain) and gain > 0):
         raise ValueError(f"unproject_frame: expected a positive, finite exposure, got a ratio of {gain}")
-    return linear_to_srgb(srgb_to_linear(np.arange(256) / 255.0) * gain).astype(np.float32)
+    return linear_to_srgb(LINEAR_OF_CODE * gain).astype(np.float32)

@@ -37,6 +37,10 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[Any]:
     )
 
 
+LINEAR_OF_CODE = srgb_to_linear(np.arange(256) / 255)
+"""(256,) float64, the linear light of each 8-bit code."""
+
+
 def linear_to_srgb(linear: ArrayLike) -> NDArray[Any]:
     """Encode linear light of any shape as sRGB in [0, 1], the inverse; float32 for float32 input, else float64.
 

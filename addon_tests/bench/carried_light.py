@@ -75,7 +75,7 @@ def shown_lights(
             if step.estimate is not None:
                 going_on[name, seen.frame] = CarriedLight(step.estimate)
                 under_way.ask(name, step.estimate, frame=seen.frame, asked_s=seen.time_s, payload_bytes=4249)
-            last = under_way.in_force(name, seen.time_s)
+            last = under_way.in_use(name, seen.time_s)
             if last is None:
                 continue
             sh, shares = last.estimate.sh_radiance, under_way.shares(name, seen.time_s, BLEND_S)

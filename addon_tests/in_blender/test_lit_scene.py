@@ -311,8 +311,8 @@ def test_the_light_of_the_results_is_keyed_where_it_fired_and_in_force_until_the
         lit.frame_set(frame)
         layer = lit.view_layers["Xihe Ball"]
         coefficients, gain = shown_light(layer.world_override.evaluated_get(layer.depsgraph))
-        in_force = expected[max(known for known in expected if known <= frame)]
-        np.testing.assert_allclose(coefficients, in_force, rtol=1e-6, atol=1e-7)
+        in_use = expected[max(known for known in expected if known <= frame)]
+        np.testing.assert_allclose(coefficients, in_use, rtol=1e-6, atol=1e-7)
         assert gain == pytest.approx(1 / lit_file.results["settings"]["reference_exposure"])
 
 

@@ -62,8 +62,8 @@ def test_an_object_that_is_moved_has_the_light_of_its_place_without_a_render(sce
     found = run_blocking(run_blocking(open_kept_session(lit_run)).find_light(place))["Ball"]
     lights = keyed(world)[0]
     for frame, light in found.lights.items():
-        in_force = lights[max(known for known in lights if known <= frame)]
-        np.testing.assert_allclose(in_force, rest_of(light), atol=1e-6)
+        in_use = lights[max(known for known in lights if known <= frame)]
+        np.testing.assert_allclose(in_use, rest_of(light), atol=1e-6)
     last = max(found.sh)
     assert LightOf.read(world).live == {"Ball": [found.coverage[last], found.expected_error[last]]}
     # Its error there is not known, since the reference light is of the old place.

@@ -205,7 +205,7 @@ def test_shares_add_up_to_1_begin_at_0_and_end_at_the_youngest_alone(seed):
         shown.append(sum(share * one.estimate.sh_radiance[0, 0] for share, one in shares))
     # Ten estimates differ by 1 each; two or three may be on their way in at once.
     assert np.abs(np.diff(shown)).max() < 0.05
-    assert under_way.shares("Ball", 3.9, blend_s) == [(1.0, under_way.in_force("Ball", 3.9))]
+    assert under_way.shares("Ball", 3.9, blend_s) == [(1.0, under_way.in_use("Ball", 3.9))]
 
 
 def test_an_estimate_that_arrives_in_its_own_frame_is_there_at_once():
@@ -237,7 +237,7 @@ def test_a_late_estimate_of_a_dimming_lamp_comes_in_without_a_jump():
         if report.estimate is not None:
             under_way.ask("Ball", report.estimate, frame=i, asked_s=i / 30, payload_bytes=4249)
             going_on[i] = CarriedLight(report.estimate)
-        last = under_way.in_force("Ball", i / 30)
+        last = under_way.in_use("Ball", i / 30)
         if last is not None:
             shares = under_way.shares("Ball", i / 30, BLEND_S)
             parts = [(share, ObjectLight(going_on[one.frame].light.sh_radiance)) for share, one in shares]

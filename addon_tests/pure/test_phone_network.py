@@ -106,7 +106,7 @@ def test_without_a_link_every_valid_estimate_is_there_at_once():
     under_way, asked = session(None, 0)
     for i, t in enumerate(FRAMES_S):
         last_valid = i - 1 if i % 5 == 4 else i
-        assert under_way.in_force("a", t).frame == last_valid
+        assert under_way.in_use("a", t).frame == last_valid
     assert all(request.latency_s == 0 for request in asked["a"])
 
 
@@ -118,7 +118,7 @@ def test_the_light_is_the_youngest_valid_estimate_that_has_arrived(seed):
     assert any(overtaken) and any(request.latency_s is None for request in requests)
     for t in np.linspace(-0.1, 3, 200):
         there = [i for i, r in enumerate(requests) if r.arrival_s <= t and r.estimate.is_valid]
-        found = under_way.in_force("a", t)
+        found = under_way.in_use("a", t)
         assert found is (requests[max(there)] if there else None)
 
 
@@ -132,7 +132,7 @@ def test_luck_depends_on_seed_frame_and_position_and_on_nothing_else():
 
 
 def test_a_position_that_never_asked_has_no_light():
-    assert EstimatesUnderWay(None, 0).in_force("nobody", 1.0) is None
+    assert EstimatesUnderWay(None, 0).in_use("nobody", 1.0) is None
 
 
 def test_of_estimates_that_were_asked_for_at_the_same_time_the_last_one_is_in_use():
@@ -140,4 +140,4 @@ def test_of_estimates_that_were_asked_for_at_the_same_time_the_last_one_is_in_us
     under_way, estimate = EstimatesUnderWay(None, 0), LightEstimate(np.zeros((9, 3)), 1.0, 0.5, "test")
     for frame in range(3):
         under_way.ask("a", estimate, frame=frame, asked_s=0.0, payload_bytes=0)
-        assert under_way.in_force("a", 0.0).frame == frame
+        assert under_way.in_use("a", 0.0).frame == frame

@@ -47,6 +47,8 @@ class XihePreferences(bpy.types.AddonPreferences):
     )
 
     def draw(self, context: bpy.types.Context) -> None:
+        from xihe_blender.capture.cycles_device import device_in_preferences
+
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "phone")
@@ -54,7 +56,7 @@ class XihePreferences(bpy.types.AddonPreferences):
             layout.prop(self, "phone_file")
         layout.prop(self, "cache_folder")
         self._draw_runs(layout)
-        layout.label(text=f"Cycles renders on: {cycles_device_in_preferences(context)}. Change it in System.")
+        layout.label(text=f"Cycles renders on: {device_in_preferences()}. Change it in System.")
 
     def _draw_runs(self, layout: bpy.types.UILayout) -> None:
         """The space that runs take, and how to have it back."""
@@ -112,13 +114,6 @@ def own_folder() -> Path:
     except ValueError:
         # Not installed as an extension, as where a script registered the add-on.
         return Path(bpy.utils.user_resource("DATAFILES", path="xihe"))
-
-
-def cycles_device_in_preferences(context: bpy.types.Context) -> str:
-    """The kind of device that Cycles may use, as the user has set it in Blender's preferences."""
-    cycles = context.preferences.addons.get("cycles")
-    kind = "NONE" if cycles is None else cycles.preferences.compute_device_type
-    return "CPU" if kind == "NONE" else str(kind)
 
 
 register, unregister = bpy.utils.register_classes_factory((XihePreferences,))

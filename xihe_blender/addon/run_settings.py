@@ -79,9 +79,8 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
 def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
     """Have the panel choose for `scene` what `run`, made of it, was told, from wherever it was started.
 
-    Not what the panel has no choice for: samples, a noise target, some of the objects, frames at uneven
-    steps. An estimator that is not
-    installed here is left out. UserError where the scene has no frames.
+    Not what the panel has no choice for: samples, a noise target, some of the objects, frames at uneven steps. An
+    estimator that is not installed here is left out. UserError where the scene has no frames.
     """
     made, frames = run.settings, list(run.settings.frames)
     step = frames[1] - frames[0] if len(frames) > 1 else 1

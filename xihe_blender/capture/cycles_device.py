@@ -16,6 +16,7 @@ from xihe_blender.errors import UserError
 
 DEVICE_VARIABLE = "XIHE_CYCLES_DEVICE"
 CPU = "CPU"
+CYCLES_IS_OFF = "Cycles is turned off in this Blender: turn on Cycles Render Engine in Preferences > Add-ons"
 
 
 def choose_device(kind: str) -> None:
@@ -44,7 +45,7 @@ def use_device(kind: str) -> None:
         return
     cycles = _preferences()
     if cycles is None:
-        raise UserError("Cycles is turned off in this Blender: turn on Cycles Render Engine in Preferences > Add-ons")
+        raise UserError(CYCLES_IS_OFF)
     if cycles.compute_device_type == kind and cycles.has_active_device():
         return
     found = _kinds_with_devices(cycles)
@@ -60,10 +61,13 @@ def use_device(kind: str) -> None:
 
 def device_of(scene: bpy.types.Scene) -> str:
     """The kind of device that `scene` renders on, as was chosen or as the user's Blender is set up."""
-    if _chosen():
-        return _chosen()
+    return _chosen() or (CPU if scene.cycles.device == CPU else device_in_preferences())
+
+
+def device_in_preferences() -> str:
+    """The kind of device that Cycles may use, as the user has set it in Blender's preferences."""
     cycles = _preferences()
-    kind = "NONE" if cycles is None or scene.cycles.device == CPU else str(cycles.compute_device_type)
+    kind = "NONE" if cycles is None else str(cycles.compute_device_type)
     return CPU if kind == "NONE" else kind
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from xihe_blender.capture.cycles_device import use_chosen_device
+from xihe_blender.capture.cycles_device import CYCLES_IS_OFF, use_chosen_device
 from xihe_blender.errors import UserError
 from xihe_blender.scene.colour_management import in_rec709
 from xihe_blender.scene.state import WORKING, copied_scene, remove_copied_scene, users_name
@@ -107,7 +107,7 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
     UserError where the user has turned Cycles off.
     """
     if not hasattr(scene, "cycles"):
-        raise UserError("Cycles is turned off in this Blender: turn on Cycles Render Engine in Preferences > Add-ons")
+        raise UserError(CYCLES_IS_OFF)
     render, cycles = scene.render, scene.cycles
     render.engine = "CYCLES"
     use_chosen_device(scene)

@@ -26,7 +26,7 @@ import numpy as np
 from xihenet.camera import pixels_in_view, unproject_frame
 from xihenet.captures.gain_graph import Pair, solve_gains
 from xihenet.captures.seen_again import away_from_edges, thinned
-from xihenet.colour import srgb_to_linear
+from xihenet.colour import LINEAR_OF_CODE
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
 DARKEST_CODE, BRIGHTEST_CODE = 12, 244  # Of 255. Below, one step is more than 9 % of the light; above, noise clips
@@ -44,7 +44,7 @@ SURE_TO = 0.003  # A pair's ratio is not trusted further, however many points it
 # gains were off by 3.5 % in the mean, 32 % at most, where all angles counted alike; so by 1.9 %, 10 % at most.
 SAME_ANGLE_DEG = 20.0
 UNSURE_BY_DEG = 0.005  # Natural logarithm, for each degree between the two views of a pair's points
-LOG_LINEAR = np.log(np.maximum(srgb_to_linear(np.arange(256) / 255.0), 1e-6))
+LOG_LINEAR = np.log(np.maximum(LINEAR_OF_CODE, 1e-6))
 """(256,) of the linear light of each code."""
 
 

@@ -73,9 +73,9 @@ def replay(
         )
         lights = {name: light for name in positions_m if (light := session.light(name)) is not None}
         gains = {name: session.gain(name) for name in lights}
-        in_force = {name: ObjectLight(light.sh_radiance, light.key) for name, light in lights.items()}
+        in_use = {name: ObjectLight(light.sh_radiance, light.key) for name, light in lights.items()}
         hidden = [name for name in looked_at if behind_m(positions_m[name], seen)]
-        yield ReplayedStep(seen.frame, seen.time_s, reports, in_force, gains, session.known, hidden)
+        yield ReplayedStep(seen.frame, seen.time_s, reports, in_use, gains, session.known, hidden)
 
 
 def never_in_view(capture: Capture, positions_m: Mapping[str, ArrayF64]) -> list[str]:

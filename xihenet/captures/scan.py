@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.camera import valid_plane_depth
-from xihenet.colour import srgb_to_linear
+from xihenet.colour import LINEAR_OF_CODE
 from xihenet.openings import joined
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, Intrinsics, RgbdFrame
 
@@ -253,9 +253,8 @@ class _Seen:
         inverse = np.full(depth_m.shape, np.nan, np.float32)
         inverse[is_used] = 1 / depth_m[is_used]
         inverse, facing = _clear(inverse, k)
-        light = srgb_to_linear(np.arange(256) / 255.0)
         gains = exposure / frame.exposure / (np.ones(3) if frame.white_balance is None else frame.white_balance)
-        linear = np.stack([(light * gains[channel])[srgb[..., channel]] for channel in range(3)], axis=-1)
+        linear = np.stack([(LINEAR_OF_CODE * gains[channel])[srgb[..., channel]] for channel in range(3)], axis=-1)
         coloured = np.ones((height * width, 4), np.float32)
         coloured[:, :3] = linear.reshape(-1, 3)
         return cls(k, frame.world_from_camera, inverse, facing, coloured)

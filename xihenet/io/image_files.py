@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xihenet.camera import encode_exposed
-from xihenet.colour import srgb_to_linear
+from xihenet.colour import LINEAR_OF_CODE
 from xihenet.io.picture_size import MOST_PIXELS, MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8
 
@@ -27,7 +27,7 @@ IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM")
 
 START_OF_SCAN, MOST_SCANS = b"\xff\xda", 64  # Encoders make some ten; phones' files of several pictures have more
 PIXELS_IN_STRIP, MOST_ROWS_IN_STRIP = 2**19, 128
-LINEAR_BY_BYTE = srgb_to_linear(np.arange(256) / 255).astype(np.float32)
+LINEAR_BY_BYTE = LINEAR_OF_CODE.astype(np.float32)
 NONE_IN_16_BITS = 65535
 ORIENTATION_TAG = 0x0112
 

@@ -24,7 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.colour import linear_to_srgb, srgb_to_linear
+from xihenet.colour import LINEAR_OF_CODE, linear_to_srgb
 from xihenet.invalid import Counts
 from xihenet.io.exr import Attribute, exr_attributes, exr_sizes, read_stored_exr, write_exr
 from xihenet.io.json_files import read_json
@@ -157,7 +157,7 @@ def _counts(text: str) -> dict[str, int]:
 @functools.cache
 def _light_of_bytes() -> NDArray[np.float16]:
     """(256,): no two bytes have the same."""
-    return srgb_to_linear(np.arange(256) / 255.0).astype(np.float16)
+    return LINEAR_OF_CODE.astype(np.float16)
 
 
 @functools.cache

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import encode_exposed
-from xihenet.colour import srgb_to_linear
+from xihenet.colour import LINEAR_OF_CODE
 from xihenet.phone.settings import Required, Section, SessionFacts, known, number
 from xihenet.records import ArrayBool, ArrayF64, RgbdFrame
 
@@ -111,7 +111,7 @@ def expose(frame: RgbdFrame, exposure: float, radiance: ArrayLike | None = None)
         return frame
     if radiance is not None:
         return replace(frame, srgb_u8=encode_exposed(radiance, exposure), exposure=exposure)
-    light_of_byte = srgb_to_linear(np.arange(256) / 255.0) / frame.exposure
+    light_of_byte = LINEAR_OF_CODE / frame.exposure
     return replace(frame, srgb_u8=encode_exposed(light_of_byte, exposure)[frame.srgb_u8], exposure=exposure)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.camera import unproject_frame, valid_plane_depth
-from xihenet.colour import srgb_to_linear
+from xihenet.colour import LINEAR_OF_CODE
 from xihenet.phone.depth import window_span_m
 from xihenet.phone.holes import SurfaceFacts, facing_cosines
 from xihenet.phone.metering import metered_exposure
@@ -78,7 +78,7 @@ def facts_of_frame(frame: RgbdFrame, positions_m: ArrayLike) -> FrameFacts:
     valid = valid_plane_depth(frame.plane_depth_m)
     seen = frame.plane_depth_m[valid]
     facing = facing_cosines(frame, SurfaceFacts())[valid]
-    radiance = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)[frame.srgb_u8] / frame.exposure
+    radiance = LINEAR_OF_CODE.astype(np.float32)[frame.srgb_u8] / frame.exposure
     return FrameFacts(
         time_s=frame.time_s,
         focal_px=max(frame.intrinsics.fx, frame.intrinsics.fy),

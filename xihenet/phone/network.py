@@ -165,7 +165,7 @@ class EstimatesUnderWay:
         bisect.insort(self._requests.setdefault(name, []), request, key=lambda one: one.asked_s)
         return request
 
-    def in_force(self, name: str, time_s: float) -> Request | None:
+    def in_use(self, name: str, time_s: float) -> Request | None:
         """What lights a position at `time_s`: the valid estimate that was asked for last, of those there, or None."""
         return next(self._there(name, time_s), None)
 

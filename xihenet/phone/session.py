@@ -100,7 +100,7 @@ class PhoneSession:
         """Have the light of all positions that the last frame was sampled at go on to it."""
         directions = self.controller.lattice.directions
         for name, lights in self._carried.items():
-            last, seen = self.under_way.in_force(name, time_s), self.controller.seen(name)
+            last, seen = self.under_way.in_use(name, time_s), self.controller.seen(name)
             if seen is None or seen is self._seen.get(name):
                 continue
             before, self._seen[name] = self._seen.get(name), seen
@@ -128,7 +128,7 @@ class PhoneSession:
 
     def _light_at(self, name: str, time_s: float, other: str | None) -> ObjectLight:
         if not self.is_carried:
-            return self._light_of(self.under_way.in_force(name, time_s), other)
+            return self._light_of(self.under_way.in_use(name, time_s), other)
         shares = self.under_way.shares(name, time_s, BLEND_S)
         if not shares:
             return ObjectLight(self.ambient_sh)
@@ -151,8 +151,8 @@ class PhoneSession:
         lattice, name = self.controller.fine_lattice, names[0]
         if lattice is None or not self.controller.settings.has_reflections:
             return light
-        request = self.under_way.in_force(name, time_s)
-        estimated = mean_light([self._light_of(self.under_way.in_force(one, time_s), other) for one in names])
+        request = self.under_way.in_use(name, time_s)
+        estimated = mean_light([self._light_of(self.under_way.in_use(one, time_s), other) for one in names])
         cloud = UnitSphereCloud.empty(len(lattice))
         if request is not None and request.estimate.reflected is not None:
             cloud = request.estimate.reflected
@@ -167,17 +167,17 @@ class PhoneSession:
 
     def gain(self, name: str, time_s: float) -> ArrayF64:
         """(3,) by what the last estimate that arrived at a position is multiplied; 1 without one, and where kept."""
-        request = self.under_way.in_force(name, time_s)
+        request = self.under_way.in_use(name, time_s)
         return self._carried[name][request.frame].gain if request is not None and self.is_carried else np.ones(3)
 
     def expected_error(self, name: str, time_s: float) -> float | None:
         """SHC RMSE that the estimator expects of the light in use; None for the ambient one, or if it says none."""
-        request = self.under_way.in_force(name, time_s)
+        request = self.under_way.in_use(name, time_s)
         if request is None or not self.is_carried:
             return None if request is None else request.estimate.expected_error
         return self._carried[name][request.frame].light.expected_error
 
     def light_frame(self, name: str, time_s: float) -> int | None:
         """The frame from which the light in use comes; None for the ambient one."""
-        request = self.under_way.in_force(name, time_s)
+        request = self.under_way.in_use(name, time_s)
         return None if request is None else request.frame

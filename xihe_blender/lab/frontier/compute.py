@@ -106,7 +106,7 @@ def walk_through(backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_
     for name, position in walk.positions.items():
         session.add_position(name, position)
     frames = [with_every_pixel(frame, choice.every_pixel) for frame in walk.frames]
-    in_force = {name: padded(np.zeros((9, 3))) for name in walk.positions}
+    in_use = {name: padded(np.zeros((9, 3))) for name in walk.positions}
     lights: list[ArrayF64] = []
     n_estimates, elapsed_ms = 0, 0.0
     for frame, active in zip(frames, walk.active, strict=True):
@@ -116,9 +116,9 @@ def walk_through(backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_
         elapsed_ms += 1e3 * (clock() - start)
         fired = [name for name in active if reports[name].estimate is not None]
         for name, light in zip(fired, backend.made, strict=True):
-            in_force[name] = padded(light)
+            in_use[name] = padded(light)
         n_estimates += len(fired)
-        lights += [in_force[name] for name in active]
+        lights += [in_use[name] for name in active]
     return Walked(lights, n_estimates, elapsed_ms / len(frames))
 
 
