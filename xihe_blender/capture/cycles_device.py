@@ -19,10 +19,17 @@ CPU = "CPU"
 CYCLES_IS_OFF = "Cycles is turned off in this Blender: turn on Cycles Render Engine in Preferences > Add-ons"
 
 
-def choose_device(kind: str) -> None:
-    """Have this process and those that it starts render on a kind of device; UserError as of `use_chosen_device`."""
-    use_device(kind.upper())
-    os.environ[DEVICE_VARIABLE] = kind.upper()
+def choose_device(kind: str) -> list[str]:
+    """Have this process and those that it starts render on a kind of device.
+
+    Returns the names of the graphics cards, none for CPU. UserError as of `use_chosen_device`.
+    """
+    kind = kind.upper()
+    use_device(kind)
+    os.environ[DEVICE_VARIABLE] = kind
+    return (
+        [] if kind == CPU else [d.name for d in _preferences().get_devices_for_type(kind) if d.use and d.type == kind]
+    )
 
 
 def use_chosen_device(scene: bpy.types.Scene) -> None:

@@ -53,6 +53,7 @@ CYCLES_DEVICE = (
     "kind of device that Cycles renders on: CPU, or OPTIX, CUDA, HIP, ONEAPI or METAL for a graphics card; default: "
     "XIHE_CYCLES_DEVICE in the environment, or else Blender's preferences"
 )
+KERNELS = "Cycles renders on {cards}; a card's first render can wait minutes until its kernels are built"
 
 NEEDS_BLENDER = (
     "this command needs Blender: with Python 3.11 or 3.13 pip install 'xihe-blender[blender]', or install the "
@@ -75,7 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if getattr(options, "cycles_device", None):
                 from xihe_blender.capture.cycles_device import choose_device
 
-                choose_device(options.cycles_device)
+                if cards := choose_device(options.cycles_device):
+                    print(KERNELS.format(cards=", ".join(cards)), file=stderr, flush=True)
             code = options.run(options, stdout, stderr)
     except UserError as error:
         return _failed(str(error))
