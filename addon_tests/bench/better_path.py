@@ -1,13 +1,14 @@
 """How far does an advised second of looking lower the true error, beside a random second?
 
     python addon_tests/bench/better_path.py SCENE.blend ... --out DIR [--part 0.25] [--random 4] [--most 4] [--turn 90]
+        [--tried N]
 
-In each scene the phone captures a part of its path, the look is chosen for each virtual object, and the look, random
-ones and a light probe at the object are rendered. Scenes without virtual objects get a small sphere at each empty named
-`placement_...`, in memory. A random second is at a random frame and in a random direction within the same reach of the
-same phone, and is captured in the same way. Errors are SHC RMSE after the last frame of the part; both targets are held
-against the same captures. A row an object, random seconds by their mean; medians at the end, of those
-objects that there was advice for.
+In each scene the phone captures a --part of its path, the look is chosen for each virtual object among --tried frames
+and up to --turn degrees off the path, and the look, --random ones and a light probe at the object are rendered. Scenes
+without virtual objects get a small sphere at the first empties named `placement_...`, --most of them, in memory. A
+random second is at a random frame and in a random direction within the same reach of the same phone, and is captured in
+the same way. Errors are SHC RMSE after the last frame of the part; both targets are held against the same captures. A
+row an object, random seconds by their mean; medians at the end, of those objects that there was advice for.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import TextIO
 
 import bpy
 import numpy as np
+from given import given
 
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.io.blender_output import blender_output_aside
@@ -93,17 +95,11 @@ def row(scene: str, of_targets: Sequence[ObjectAdvice]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--part", type=float, default=0.25, help="of the path that the phone goes")
-    parser.add_argument("--random", type=int, default=4, help="random seconds for each object")
-    parser.add_argument("--most", type=int, default=4, help="placements of a scene without virtual objects")
-    parser.add_argument("--size", type=picture_size, default=(128, 96))
-    parser.add_argument("--turn", type=float, default=LookSettings().largest_turn_deg, help="degrees at most")
-    parser.add_argument("--tried", type=int, default=LookSettings().most_frames, help="frames at which looks are tried")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
+    defaults = LookSettings()
+    options = given(
+        __doc__, "scenes+", out=Path, part=0.25, random=4, most=4, size=(picture_size, (128, 96)),
+        turn=defaults.largest_turn_deg, tried=defaults.most_frames, seed=0,
+    )  # fmt: skip
     with blender_output_aside() as (stdout, _):
         tell(options, stdout)
 

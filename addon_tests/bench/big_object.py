@@ -10,13 +10,12 @@ outer quarters of its length, in the mean over frames.
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from dataclasses import replace
-from pathlib import Path
 
 import bpy
 import numpy as np
+from given import given
 
 from xihe_blender.compare.methods import display, open_comparer
 from xihe_blender.io.blender_output import only_our_output
@@ -62,14 +61,7 @@ def in_the_way(light: ObjectLight, way: str) -> ObjectLight:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--at", default="0,0")
-    parser.add_argument("--yaw", type=float, default=0.0)
-    parser.add_argument("--spacing", type=float, default=0.55)
-    parser.add_argument("--every", type=int, default=4)
-    options = parser.parse_args()
+    options = given(__doc__, "out", "scene", at="0,0", yaw=0.0, spacing=0.55, every=4)
     estimation_positions.SPACING_M = options.spacing
     scene = open_blend(options.scene)
     for item in virtual_objects(scene):

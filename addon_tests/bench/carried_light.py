@@ -17,13 +17,13 @@ share of it. "none" leaves the light alone. Nothing is rendered.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from given import given
 from trigger import EVERY_FRAME, read_run
 
 from xihe_blender.previs.settings import PREVIS_TRIGGER
@@ -155,11 +155,7 @@ def _flicker(mode: str, shown: list[Shown], since: int) -> Iterator[float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", type=Path, nargs="+")
-    parser.add_argument("--estimator", default="lattice")
-    parser.add_argument("--lamp", action="store_true")
-    options = parser.parse_args()
+    options = given(__doc__, "folders+", estimator="lattice", lamp=False)
     columns = ["run", "estimates come", *MODES, "every frame"]
     if options.lamp:
         of_modes = [f"{what}, {mode}" for what in ("off", "flicker") for mode in MODES]

@@ -8,10 +8,8 @@ not ("hdr"), as estimated and after `dering_for_display`, and the share of the e
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
+from given import given
 from test_rooms import seen_in
 
 from xihenet import estimators
@@ -23,9 +21,7 @@ CHOICES = [(name, target) for name in ("lattice", "projection") for target in ("
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rooms", type=Path)
-    files = room_files(parser.parse_args().rooms)
+    files = room_files(given(__doc__, "rooms").rooms)
     loaded = [estimators.load(name, target=target) for name, target in CHOICES]
     pairs: dict[tuple[str, str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
     for seen in (one for path in files for one in seen_in(path)):

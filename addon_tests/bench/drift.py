@@ -17,7 +17,7 @@ from functools import reduce
 from pathlib import Path
 
 import numpy as np
-from given import paths
+from given import given
 
 from xihe_blender.io.exr import read_radiance
 from xihenet import estimators
@@ -82,7 +82,7 @@ def errors(folder: Path) -> Iterator[dict[str, float]]:
 
 
 def main() -> None:
-    folders = paths(__doc__, "ROOM")
+    folders = given(__doc__, "rooms+").rooms
     print("| recording | locked | ignored | followed | followed / locked | gains off by |\n|" + " --- |" * 6)
     for folder in folders:
         walks = list(errors(folder))

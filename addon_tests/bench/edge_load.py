@@ -3,30 +3,25 @@
     python addon_tests/bench/edge_load.py [--seconds 60] [--clients 8] [--rate 30] [--estimator lattice] [--form clean]
 
 The server has one core to itself, and the clients have the others. Each client has a connection and a session of its
-own and asks at fixed times. Latencies are counted from those times and not from when a request could be sent, so that a
-server that stalls is not spared. Where `hey` is installed (`apt install hey`), the held rate and the overload are
-repeated by it, which knows nothing of the service: its clients share one session, and its latencies are from when it
-sent.
+own, in the published or the clean form, and asks at fixed times. Latencies are counted from those times and not from
+when a request could be sent, so that a server that stalls is not spared.
 """
 
-import argparse
 import asyncio
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from given import given
 
 from xihenet.codec import encode_cloud
-from xihenet.edge.batching import Inference, Job
 from xihenet.edge.bench import random_cloud
 from xihenet.edge.protocol import DEFAULT_METHOD, content_type_of
 
@@ -126,26 +121,6 @@ async def as_many_as_go(clients, seconds):
     return answers
 
 
-def by_hey(client, n_clients, rate, seconds):
-    """The load of `hold_rate` by hey, or None where it is not installed."""
-    if shutil.which("hey") is None:
-        return None
-    with tempfile.TemporaryDirectory() as folder:
-        body = Path(folder) / "cloud.bin"
-        body.write_bytes(client.bodies[0])
-        command = ["hey", "-z", f"{seconds:g}s", "-c", str(n_clients), "-q", f"{rate:g}", "-m", "POST", "-o", "csv"]
-        for name, value in client.headers.items():
-            command += ["-T", value] if name == "Content-Type" else ["-H", f"{name}: {value}"]
-        command += ["-D", str(body), f"http://127.0.0.1:{client.port}{client.path}"]
-        start = time.perf_counter()
-        told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    rows = [row.split(",") for row in told.splitlines()[1:]]
-    answers = Answers(seconds=time.perf_counter() - start)
-    answers.statuses.update(int(row[6]) for row in rows)
-    answers.latencies_s = [float(row[0]) for row in rows if row[6] == "200"]
-    return answers
-
-
 async def recovery_s(client):
     """From now until three answers in a row come within 50 ms."""
     start, n_good = time.perf_counter(), 0
@@ -174,14 +149,12 @@ async def opened(port, n, first_seed=0, form="published"):
 
 
 async def run(process, port, options):
-    """Lights per second of the server's processor time."""
     form, seconds = options.form, options.seconds
     clients = await opened(port, options.clients, 0, form)
     await hold_rate(clients, options.rate, 2)
     before = rss_mb(process)
     held = f"{options.clients} clients x {options.rate:g}/s for {seconds:g} s"
     print(f"{held}: {await hold_rate(clients, options.rate, seconds)}")
-    print(f"the same by hey: {by_hey(clients[0], options.clients, options.rate, seconds) or 'not installed'}")
     print(f"memory of the server: {before:.1f} MB before, {rss_mb(process):.1f} MB after")
     more = await opened(port, 24, 100, form)
     spent_s = cpu_s(process.pid)
@@ -195,29 +168,8 @@ async def run(process, port, options):
     twice = 2 * n_lights / len(many)
     print(f"twice that, {len(many)} clients: {await hold_rate(many, twice, seconds / 4)}")
     print(f"recovery: {await recovery_s(many[0]):.2f} s; memory {rss_mb(process):.1f} MB")
-    overload = by_hey(many[0], MOST_CONNECTIONS, twice, seconds / 4)
-    if overload:
-        print(f"twice that by hey: {overload}")
-        print(f"recovery: {await recovery_s(many[0]):.2f} s; memory {rss_mb(process):.1f} MB")
     for client in many:
         client.close()
-    return per_cpu_s
-
-
-def batches_alone(name, cores, seconds=5.0):
-    """Lights per second of processor time, of batches of 16 without a network, in this process on these cores."""
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, cores)
-    inference, rng = Inference(name), np.random.default_rng(0)
-    jobs, n = [Job(random_cloud(rng, N_ANCHORS), "ldr") for _ in range(16)], 0
-    inference(jobs)
-    start = time.process_time()
-    while time.process_time() - start < seconds:
-        inference(jobs)
-        n += len(jobs)
-    rate = n / (time.process_time() - start)
-    os.sched_setaffinity(0, before)
-    return rate
 
 
 def on_a_core_of_their_own():
@@ -228,31 +180,20 @@ def on_a_core_of_their_own():
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60)
-    parser.add_argument("--clients", type=int, default=8)
-    parser.add_argument("--rate", type=float, default=30)
-    parser.add_argument("--estimator", default="lattice")
-    parser.add_argument("--form", choices=("published", "clean"), default="published")
-    options = parser.parse_args()
+    options = given(__doc__, seconds=60.0, clients=8, rate=30.0, estimator="lattice", form="published")
     print(f"load of the machine before: {Path('/proc/loadavg').read_text().split()[0]}")
     of_server, of_clients = on_a_core_of_their_own()
-    alone = [batches_alone(options.estimator, of_server)]
     os.sched_setaffinity(0, of_server)  # The server inherits it.
     command = [sys.executable, "-m", "xihe_blender", "serve", "--port", "0", "--estimator", options.estimator]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     os.sched_setaffinity(0, of_clients)
     try:
         port = int(re.search(r":(\d+),", process.stdout.readline())[1])
-        through_http = asyncio.run(run(process, port, options))
+        asyncio.run(run(process, port, options))
         assert process.poll() is None, "the server is gone"
     finally:
         process.kill()
         process.wait()
-    alone.append(batches_alone(options.estimator, of_server))
-    told = " and ".join(f"{rate:.0f}" for rate in alone)
-    print(f"batches of 16 alone, before and after: {told} lights per second of processor time")
-    print(f"through HTTP {through_http / np.mean(alone):.0%} of that")
 
 
 if __name__ == "__main__":

@@ -3,11 +3,10 @@
     python addon_tests/bench/edge_scale.py [--seconds 10] [--rounds 3] [--clients 24] [--estimator lattice]
 
 The three take turns, round after round, so that a busy machine is busy for all. Clients of the published protocol ask
-as soon as they have their answer. What counts is lights per second of processor time, with and without that of Redis,
-since clients, servers and Redis share the machine. Needs redis-server on the path.
+as soon as they have their answer, --clients of each worker. What counts is lights per second of processor time, with
+and without that of Redis, since clients, servers and Redis share the machine. Needs redis-server on the path.
 """
 
-import argparse
 import asyncio
 import re
 import socket
@@ -21,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import redis
 from edge_load import as_many_as_go, cpu_s, opened
+from given import given
 
 PHONES, LIGHTS_A_MINUTE = 100_000, 27
 """For `docs/edge.md`: what the walks of `docs/trigger.md` ask for, at two frames a second."""
@@ -106,12 +106,7 @@ def print_on_paper(figures, bytes_of_a_position):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=10)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--clients", type=int, default=24, help="of each worker")
-    parser.add_argument("--estimator", default="lattice")
-    options = parser.parse_args()
+    options = given(__doc__, seconds=10.0, rounds=3, clients=24, estimator="lattice")
     print(f"load of the machine before: {Path('/proc/loadavg').read_text().split()[0]}")
     with tempfile.TemporaryDirectory() as folder, ExitStack() as ending:
         store = Store(folder)

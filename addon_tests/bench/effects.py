@@ -12,7 +12,6 @@ over the seeds agree where the whole picture's and 16 blocks' differ by no more 
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import sys
 import time
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from given import given, words
 
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner
@@ -114,17 +114,13 @@ def ratio(first: list[float], second: list[float]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", default=",".join(sorted(path.stem for path in SCENES.glob("*.blend"))))
-    parser.add_argument("--size", type=picture_size, default=(128, 96))
-    parser.add_argument("--samples", type=int, default=4)
-    parser.add_argument("--seeds", type=int, default=16)
-    options = parser.parse_args()
+    names = sorted(path.stem for path in SCENES.glob("*.blend"))
+    options = given(__doc__, scenes=(words, names), size=(picture_size, (128, 96)), samples=4, seeds=16)
     settings = RenderSettings(options.size, options.samples)
     with blender_output_aside() as (stdout, _):
         print(f"{options.size[0]}x{options.size[1]}, {options.samples} samples, {options.seeds} seeds", file=stdout)
         print(HEAD, file=stdout, flush=True)
-        for name in options.scenes.split(","):
+        for name in options.scenes:
             print(row(name, settings, options.seeds), file=stdout, flush=True)
 
 

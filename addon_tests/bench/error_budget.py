@@ -21,12 +21,12 @@ What the ball shows is taken to order 8, as the budget's is: finer than that is 
     python addon_tests/bench/error_budget.py OUT SCENE.blend... [--phone NAME] [--network NAME] [--step N] [--all]
         [--seeds N] [--anew N]
 
-In a scene without virtual objects a ball is put at the empty `placement_0`.
+In a scene without virtual objects a ball is put at the empty `placement_0`. With --all every part is measured and not
+the largest alone; --seeds are those of the budget, --anew those with which all is rendered anew.
 """
 
 from __future__ import annotations
 
-import argparse
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -36,6 +36,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from budget_order import largest, largest_that_are_certain, order_of, print_all, print_case
+from given import given
 from mathutils import Matrix
 
 from xihe_blender.capture import all_around
@@ -420,16 +421,12 @@ def measure(case: Case, parts: Iterable[str]) -> SeedErrors:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("out", type=Path)
-    parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--phone", default="perfect")
-    parser.add_argument("--network")
-    parser.add_argument("--step", type=int, default=4)
-    parser.add_argument("--all", action="store_true", help="all parts, not only the three largest")
-    parser.add_argument("--seeds", type=int, default=N_SEEDS, help="of the budget")
-    parser.add_argument("--anew", type=int, default=1, help="seeds with which all is rendered anew")
-    options, orders = parser.parse_args(), []
+    options, orders = (
+        given(
+            __doc__, "out", "scenes+", phone="perfect", network=(str, None), step=4, all=False, seeds=N_SEEDS, anew=1
+        ),
+        [],
+    )
     for file in options.scenes:
         scene, out = opened(file), options.out / file.stem
         settings = PrevisSettings(

@@ -2,45 +2,31 @@
 
     python addon_tests/bench/estimate.py [--repeats 30]
 
-1280 anchors, random clouds at 40 % coverage, the shipped weights or, where there are none, random ones. Candidates are
-timed in turn, so that the machine's drift hits all alike, each after a call that is not timed: torch's threads keep
-both cores busy for some milliseconds after their work, and whoever comes next would pay for it. Where torch is
-installed, both networks in torch (the paper's with random weights and 512 and 1280 anchors) run beside them. Prints
-minimum, median and spread (quartiles).
+1280 anchors, random clouds at 40 % coverage, the shipped weights. Candidates are timed in turn, so that the machine's
+drift hits all alike, each after a call that is not timed: torch's threads keep both cores busy for some milliseconds
+after their work, and whoever comes next would pay for it. Where torch is installed, both networks in torch (the paper's
+with random weights and 512 and 1280 anchors) run beside them. Prints minimum, median and spread (quartiles).
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
+from given import given
 from interleaved import interleaved_ms
 
 from xihenet.estimators.lattice import Lattice
-from xihenet.estimators.lattice_format import LatticeArchitecture, LatticeWeights, load_weights
+from xihenet.estimators.lattice_format import load_weights
 from xihenet.estimators.pointconv import XiheNet
-from xihenet.estimators.weights_format import WEIGHTS_FOLDER, save_weights
+from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.records import UnitSphereCloud
 
 N_ANCHORS = 1280
 BATCHES = (1, 8, 64, 512)
 Candidates = dict[str, tuple[int, Callable[[], object]]]
 """Clouds and run of each candidate by name."""
-
-
-def weights_to_time() -> tuple[LatticeWeights, str]:
-    """The shipped weights or random ones, and which."""
-    shipped = WEIGHTS_FOLDER / "lattice_ldr.npz"
-    if shipped.exists():
-        return load_weights(shipped), "shipped weights"
-    rng, architecture = np.random.default_rng(0), LatticeArchitecture()
-    shapes = architecture.array_shapes()
-    arrays = {name: (rng.normal(size=s) / np.sqrt(s[-1])).astype(np.float32) for name, s in shapes.items()}
-    return LatticeWeights(architecture, "ldr", arrays), "random weights"
 
 
 def random_clouds(n_clouds: int, n: int):
@@ -50,7 +36,7 @@ def random_clouds(n_clouds: int, n: int):
     return srgb, rng.random((n_clouds, n), np.float32) * 5 * is_set, is_set
 
 
-def torch_candidates(weights: LatticeWeights) -> Candidates:
+def torch_candidates() -> Candidates:
     """None where torch is missing."""
     if importlib.util.find_spec("torch") is None:
         return {}
@@ -61,6 +47,7 @@ def torch_candidates(weights: LatticeWeights) -> Candidates:
 
     torch.set_grad_enabled(False)
     torch.set_num_threads(2)
+    weights = load_weights(WEIGHTS_FOLDER / "lattice_ldr.npz")
     net, paper = LatticeNet(weights.architecture).eval(), PointConvNet().eval()
     net.load_state_dict({name: torch.from_numpy(array) for name, array in weights.arrays.items()})
     candidates: Candidates = {}
@@ -75,13 +62,8 @@ def torch_candidates(weights: LatticeWeights) -> Candidates:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=30)
-    repeats = parser.parse_args().repeats
-    weights, which = weights_to_time()
-    with tempfile.TemporaryDirectory() as folder:
-        save_weights(Path(folder) / "w.npz", weights)
-        lattice = Lattice(N_ANCHORS, weights=Path(folder) / "w.npz")
+    repeats = given(__doc__, repeats=30).repeats
+    lattice = Lattice(N_ANCHORS)
     one = UnitSphereCloud(*(part[0] for part in random_clouds(1, N_ANCHORS)))
     paper = XiheNet(N_ANCHORS)
     candidates: Candidates = {
@@ -91,9 +73,9 @@ def main() -> None:
     for size in BATCHES:
         parts = random_clouds(size, N_ANCHORS)
         candidates[f"lattice, NumPy, batch of {size}"] = size, lambda parts=parts: lattice.estimate_batch(*parts)
-    candidates |= torch_candidates(weights)
+    candidates |= torch_candidates()
     taken = interleaved_ms({name: run for name, (_, run) in candidates.items()}, repeats, is_called_before=True)
-    print(f"{which + f', {N_ANCHORS} anchors':<34}{'min ms':>9}{'median':>9}{'quartiles':>20}{'clouds/s':>10}")
+    print(f"{f'{N_ANCHORS} anchors':<34}{'min ms':>9}{'median':>9}{'quartiles':>20}{'clouds/s':>10}")
     for name, (size, _) in candidates.items():
         low, median, high = np.percentile(taken[name], [25, 50, 75])
         spread = f"{low:.3f} to {high:.3f}"

@@ -1,12 +1,12 @@
-"""What does each way of metering clip? A table over scenes, and a line over a folder of training rooms.
+"""What does each way of metering clip? A table over scenes.
 
-    python addon_tests/bench/exposure.py blend_scenes/*.blend [ROOMS_FOLDER]
+    python addon_tests/bench/exposure.py blend_scenes/*.blend
 
 For each scene, by `key` and by `highlights`: the exposure; the share of pixels of the phone's pictures that have a
 channel at 255, in the first, middle and last frame of the camera path; and of the light around the virtual objects the
 share of the sphere that has a channel above white, and the share of the energy that lies above white or comes from
 lamps that cameras do not see. Captures are 256x192 with 8 samples, denoised; the light is that of the preset Draft in
-the first frame. Of a folder of rooms the means over the first 100: of pixels, sphere and energy.
+the first frame.
 """
 
 from __future__ import annotations
@@ -15,21 +15,20 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from given import paths
+from given import given
 from reference import positions_of
 
 from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, meter_exposure, metered_frames, open_scanner, sized_for
 from xihe_blender.io.blender_output import only_our_output
-from xihe_blender.lab.rooms.store import load_room, room_path, stored_indices
 from xihe_blender.previs.plan import planned_frames
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.camera import encode_exposed
 from xihenet.metrics import share_above_white
 from xihenet.mirror_ball import project_mirror_ball
-from xihenet.phone.metering import METERINGS, metered_exposure
+from xihenet.phone.metering import METERINGS
 from xihenet.records import ArrayF32
 
 
@@ -73,31 +72,12 @@ def row(file: Path) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-def row_of_rooms(folder: Path) -> str:
-    """Means over the first 100 rooms, at the exposures that their own views give by each metering."""
-    rooms = [load_room(room_path(folder, index)) for index in list(stored_indices(folder))[:100]]
-    cells = [f"{len(rooms)} rooms"]
-    for metering in reversed(METERINGS):
-        shares, exposures = [], []
-        for room in rooms:
-            radiance = room.radiance.astype(np.float32)
-            exposure = room.exposure * metered_exposure(radiance, metering) / metered_exposure(radiance)
-            exposures.append(exposure)
-            for place, ball in enumerate(room.balls.astype(np.float32) * np.float32(exposure)):
-                ldr = project_mirror_ball(np.minimum(ball, 1))
-                energy = share_above_white(ldr, room.sh_hdr[place] * exposure / room.exposure) or 0.0
-                shares.append((clipped_share(radiance, exposure), sphere_above_white(ball), energy))
-        pixels, sphere, energy = 100 * np.mean(shares, axis=0)
-        cells += [f"{np.median(exposures):.3g}", f"{pixels:.1f}", f"{sphere:.1f}", f"{energy:.0f}"]
-    return "| " + " | ".join(cells) + " |"
-
-
 def main() -> None:
-    files = paths(__doc__, "FILE")
+    files = given(__doc__, "files+").files
     ways = [f"{name} | % clipped | % of sphere | % of energy" for name in reversed(METERINGS)]
     print("| scene | " + " | ".join(ways) + " |\n" + "| --- " * 9 + "|")
     for file in files:
-        print(row_of_rooms(file) if file.is_dir() else row(file), flush=True)
+        print(row(file), flush=True)
 
 
 if __name__ == "__main__":

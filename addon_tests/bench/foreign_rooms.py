@@ -13,12 +13,11 @@ how bright the grey sphere is, over its true brightness.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from given import given, words
 
 from xihenet import estimators
 from xihenet.codec import facing_of_codes
@@ -76,10 +75,7 @@ def over(cases: list[Case], name: str, base: str, target: str) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("sampled", nargs="+", type=Path)
-    parser.add_argument("--also", nargs="*", default=[], choices=["xihenet"])
-    options = parser.parse_args()
+    options = given(__doc__, "sampled+", also=(words, []))
     names = ["projection", "lattice", *options.also]
     by_views: dict[str, list[Case]] = {views: [] for views in VIEWS}
     for folder in options.sampled:

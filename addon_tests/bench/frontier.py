@@ -8,7 +8,7 @@ some of the runs only.
 
 import json
 
-from given import paths
+from given import given
 
 from xihe_blender.io.json_records import from_json
 from xihe_blender.lab.frontier.points import group, groups
@@ -51,7 +51,7 @@ def flickering_table(runs):
 
 
 def main():
-    texts = [(folder / "frontier.json").read_text(encoding="utf-8") for folder in paths(__doc__, "DIR")]
+    texts = [(folder / "frontier.json").read_text(encoding="utf-8") for folder in given(__doc__, "folders+").folders]
     runs = [from_json(Frontier, json.loads(text)).points for text in texts]
     for points in runs:
         presets_table(points)

@@ -1,14 +1,32 @@
-"""What a benchmark without options is given on its command line; its docstring is what --help says."""
+"""What a benchmark is given on its command line; its docstring, which --help shows, says what the words mean."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 
-def paths(doc: str | None, metavar: str, n: int | str = "+") -> list[Path]:
-    """`n` as argparse has it: how many."""
+def given(doc: str | None, *paths: str, **options: Any) -> argparse.Namespace:
+    """`paths` are names of files or folders, in order; one that ends in "+" or "*" is of several.
+
+    An option has its default, and is read as what that is: False makes a switch, (reader, default) is read by that, and
+    a reader alone must be given.
+    """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("paths", metavar=metavar, nargs=n, type=Path)
-    given: list[Path] = parser.parse_args().paths
-    return given
+    for name in paths:
+        parser.add_argument(name.rstrip("+*"), nargs=name[-1] if name[-1] in "+*" else None, type=Path)
+    for name, value in options.items():
+        if value is False:
+            parser.add_argument(f"--{name}", action="store_true")
+        elif callable(value):
+            parser.add_argument(f"--{name}", type=value, required=True)
+        else:
+            reader, default = value if isinstance(value, tuple) else (type(value), value)
+            parser.add_argument(f"--{name}", type=reader, default=default)
+    return parser.parse_args()
+
+
+def words(text: str) -> list[str]:
+    """Those of "A,B"."""
+    return text.split(",")

@@ -11,12 +11,11 @@ at a place that it sees. Exit 1 with a line if the room offers too few of either
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
 
 import bpy
 import numpy as np
+from given import given
 from mathutils import Matrix
 
 from xihe_blender.lab.rooms.views import (
@@ -93,12 +92,7 @@ def find_views(rng: np.random.Generator, rays: RoomRays, area: np.ndarray, floor
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene", type=Path, help="what Infinigen left")
-    parser.add_argument("out", type=Path, help="file to write")
-    parser.add_argument("--room", required=True, help="kind of room, as its floor is named: living-room, kitchen")
-    parser.add_argument("--seed", type=int, default=0, help="of places and views")
-    asked = parser.parse_args()
+    asked = given(__doc__, "scene", "out", room=str, seed=0)
     bpy.ops.wm.open_mainfile(filepath=str(asked.scene))
     remove_placeholders()
     scene, rng = bpy.context.scene, np.random.default_rng(asked.seed)

@@ -20,12 +20,11 @@ Captures in OUT are used again.
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
+from given import given
 from light_parts import walked_scene
 
 from xihe_blender.cli.arguments import picture_size
@@ -148,12 +147,7 @@ def told(name: str, found: dict[str, list[float]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--preset", default="draft")
-    parser.add_argument("--size", type=picture_size, help="of captures; default: 256x192")
-    options = parser.parse_args()
+    options = given(__doc__, "out", "scenes+", preset="draft", size=(picture_size, None))
     settings = PrevisSettings(preset=options.preset, size=options.size, light="sh+key+reflections")
     of_all: dict[str, list[float]] = defaultdict(list)
     for file in options.scenes:

@@ -9,7 +9,6 @@ black scene, by every preset and seed: whole and clipped light against its solid
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import sys
@@ -17,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from given import given, words
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "addon_tests" / "in_blender")]
@@ -99,10 +99,7 @@ def discs(preset, n_seeds):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--presets", type=lambda text: text.split(","), default=list(PRESETS))
-    parser.add_argument("--seeds", type=int, default=20)
-    options = parser.parse_args()
+    options = given(__doc__, presets=(words, list(PRESETS)), seeds=20)
     lamps(PrevisSettings(preset=options.presets[0]).reference)
     for preset in options.presets:
         discs(preset, options.seeds)

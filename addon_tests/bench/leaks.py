@@ -10,13 +10,13 @@ saw what at least half of them hit. Errors are SHC RMSE over the norm of the tru
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
+from given import given
 from reference import positions_of
 
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
@@ -146,10 +146,7 @@ def measure(seen: Any, size: int) -> tuple[list[float], dict[str, list[float]]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--keep", type=Path, help="folder for what was rendered")
-    arguments = parser.parse_args()
+    arguments = given(__doc__, "scenes+", keep=(Path, None))
     lines = []
     for path in arguments.scenes:
         kept = arguments.keep / f"{path.stem}.npz" if arguments.keep else None

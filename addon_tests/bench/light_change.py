@@ -10,7 +10,7 @@ then the two are the same to the last bit. Nothing is rendered.
 from __future__ import annotations
 
 import numpy as np
-from given import paths
+from given import given
 from trigger import Recorded, read_run, steps_of
 
 from xihe_blender.previs.settings import PREVIS_TRIGGER
@@ -29,7 +29,7 @@ def walk(recorded: Recorded, estimator: str, following: LightFollowing | None) -
 
 
 def main() -> None:
-    folders = paths(__doc__, "RUN")
+    folders = given(__doc__, "runs+").runs
     print(f"{'run':<28}{'estimator':<12}{'kept':>8}{'followed':>10}{'steps':>7}")
     for folder in folders:
         recorded = read_run(folder)

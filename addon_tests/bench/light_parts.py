@@ -20,7 +20,6 @@ the empty `placement_0`. Captures in OUT are used again.
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
@@ -29,6 +28,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
+from given import given
 from mathutils import Vector
 
 from xihe_blender.cli.arguments import picture_size
@@ -171,15 +171,9 @@ def errors(picture: ArrayF64, truth: ArrayF64, weights: ArrayF64) -> list[float]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--estimator", default="lattice")
-    parser.add_argument("--preset", default="draft")
-    parser.add_argument("--every", type=int, default=4)
-    parser.add_argument("--samples", type=int, default=128, help="of the ground truth, in each pixel")
-    parser.add_argument("--size", type=picture_size, help="of captures and comparisons; default: 256x192")
-    options = parser.parse_args()
+    options = given(
+        __doc__, "out", "scenes+", estimator="lattice", preset="draft", every=4, samples=128, size=(picture_size, None)
+    )
     settings = PrevisSettings(
         estimator=options.estimator, preset=options.preset, light="sh+key+reflections", size=options.size
     )

@@ -19,7 +19,7 @@ import bpy
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "in_blender"))
 from addon_runs import registered_addon
-from given import paths
+from given import given
 
 from xihe_blender.addon.results_in_blender import apply_results
 
@@ -27,7 +27,8 @@ N_MOVES, STEP = 20, 0.01
 
 
 def main() -> None:
-    blend, run = (path.resolve() for path in paths(__doc__, "SCENE.blend or RUN", 2))
+    options = given(__doc__, "scene", "run")
+    blend, run = options.scene.resolve(), options.run.resolve()
     with registered_addon():
         bpy.ops.wm.open_mainfile(filepath=str(blend))
         scene = bpy.context.scene

@@ -11,12 +11,12 @@ frames so far for the others.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from given import given
 from light_parts import walked_scene
 
 from xihe_blender.capture.mirror_sphere import RADIUS_M, open_mirror_sphere
@@ -85,12 +85,7 @@ def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dic
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--preset", default="draft")
-    parser.add_argument("--every", type=int, default=8)
-    options = parser.parse_args()
+    options = given(__doc__, "out", "scenes+", preset="draft", every=8)
     settings = PrevisSettings(estimator="lattice", others=OTHERS, preset=options.preset)
     for file in options.scenes:
         found = measured(file, options.out / file.stem, settings, options.every)

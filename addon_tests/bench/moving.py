@@ -13,7 +13,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from given import paths
+from given import given
 
 from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.outputs import RunOutputs
@@ -54,9 +54,9 @@ def scene_with_a_ball(name: str) -> bpy.types.Scene:
 
 
 def main() -> None:
-    folder, *names = paths(__doc__, "OUT, SCENE")
-    for name in map(str, names or WAYS):
-        scene, out = scene_with_a_ball(name), folder / name
+    options = given(__doc__, "out", "scenes*")
+    for name in map(str, options.scenes or WAYS):
+        scene, out = scene_with_a_ball(name), options.out / name
         results, errors = run_blocking(previs(scene, out, SETTINGS)), []
         exposure, plan = results["settings"]["reference_exposure"], plan_previs(scene, SETTINGS)
         left_behind = PhoneSession(plan.probes, SETTINGS.chain(exposure), load_estimators(SETTINGS)[0], None, seed=0)

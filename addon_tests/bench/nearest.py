@@ -1,17 +1,18 @@
 """What does it cost to send every point to its true nearest anchor? Prints milliseconds and wrong answers.
 
-Run it as `python addon_tests/bench/nearest.py`; it needs the extra `bench` (SciPy). Methods take turns, one
-call each, so that what else the machine does falls on all of them; ratios of medians are good to some 10 per cent.
+Run it as `python addon_tests/bench/nearest.py [--repeats 60] [--points 1000000]`, calls of each method and points for
+the wrong answers; it needs the extra `bench` (SciPy). Methods take turns, one call each, so that what else the machine
+does falls on all of them; ratios of medians are good to some 10 per cent.
 """
 
 from __future__ import annotations
 
-import argparse
 import platform
 import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from given import given
 from interleaved import interleaved_ms
 from scipy.spatial import cKDTree
 
@@ -27,12 +28,7 @@ SIZES = (512, 768, 1024, 1280, 1536, 2048)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=60, help="calls per method (default 60)")
-    parser.add_argument(
-        "--points", type=int, default=1_000_000, help="points for the wrong answers (default 1,000,000)"
-    )
-    options = parser.parse_args()
+    options = given(__doc__, repeats=60, points=1_000_000)
     print(f"NumPy {np.__version__}, Python {platform.python_version()}, {platform.machine()}\n")
     print_times(options.repeats)
     print_sizes(options.points, options.repeats)

@@ -2,16 +2,17 @@
 
     python addon_tests/bench/presets.py --out DIR SCENE.blend...        about 5 minutes a scene
 
-The presets alone, as `xihe frontier` measures them, but in more views, with more seeds, and against a render with more
-samples than a frontier can afford. What is rendered is kept in DIR, and the same command goes on from there. Printed
-are error of the light and processor time of a frame by preset, and accurate over draft, with the range over views.
+The presets alone, as `xihe frontier` measures them, but in more --views, with more --seeds, and against a render with
+more samples, --reference, than a frontier can afford. What is rendered is kept in DIR, and the same command goes on
+from there. Printed are error of the light and processor time of a frame by preset, and accurate over draft, with the
+range over views.
 """
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from given import given
 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import open_scanner
@@ -79,21 +80,12 @@ def row(file, alone, sizes):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", type=Path, nargs="+")
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument(
-        "--reference", type=int, default=FULL.reference_samples, help="samples of the exhaustive render"
-    )
-    parser.add_argument("--views", type=int, default=FULL.n_views)
-    parser.add_argument("--seeds", type=int, default=2, help="renders of each preset in each view")
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    effort = replace(FULL, reference_samples=given.reference, n_views=given.views, n_seeds=given.seeds)
+    options = given(__doc__, "scenes+", out=Path, reference=FULL.reference_samples, views=FULL.n_views, seeds=2, seed=0)
+    effort = replace(FULL, reference_samples=options.reference, n_views=options.views, n_seeds=options.seeds)
     with blender_output_aside() as (stdout, _):
         print(HEAD, file=stdout, flush=True)
-        for file in given.scenes:
-            print(row(file, *measured(file, given.out, effort, given.seed)), file=stdout, flush=True)
+        for file in options.scenes:
+            print(row(file, *measured(file, options.out, effort, options.seed)), file=stdout, flush=True)
 
 
 if __name__ == "__main__":

@@ -13,15 +13,14 @@ yardstick's noise is added to what is told as a square; and the mean signed erro
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import bpy
 import numpy as np
+from given import given, words
 from mathutils import Matrix
 
 from xihe_blender.capture.reference_probe import open_reference_probe
@@ -30,7 +29,7 @@ from xihe_blender.capture.scanner import first_layer, meter_exposure, working_ro
 from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.lab.props.surfaces import Shader
 from xihe_blender.previs.plan import plan_previs
-from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
@@ -220,13 +219,7 @@ def _of_preset(scene, name, place, frame, exposure, n_seeds):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE.blend")
-    parser.add_argument("--presets", type=lambda text: text.split(","), default=["draft", "balanced", "accurate"])
-    parser.add_argument("--places", type=int, default=4)
-    parser.add_argument("--frames", type=int, default=3)
-    parser.add_argument("--seeds", type=int, default=1)
-    options = parser.parse_args()
+    options = given(__doc__, "scenes+", presets=(words, list(PRESETS)), places=4, frames=3, seeds=1)
     summary([one for path in options.scenes for one in measure(path, options)])
 
 

@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import statistics
@@ -18,6 +17,7 @@ import time
 from pathlib import Path
 
 import bpy
+from given import given
 
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import open_scanner
@@ -97,10 +97,7 @@ def resident_mb() -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=8)
-    parser.add_argument("--captures", type=int, default=300)
-    options = parser.parse_args()
+    options = given(__doc__, frames=8, captures=300)
     with blender_output_aside() as (stdout, _):
         print(overhead_table(options.frames), file=stdout, flush=True)
         print(memory_table(options.captures), file=stdout, flush=True)

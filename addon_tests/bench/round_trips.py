@@ -18,7 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from given import paths
+from given import given
 
 from xihenet import estimators
 from xihenet.captures import open_capture
@@ -72,7 +72,7 @@ def rounded(frames: list[RgbdFrame], layout: str) -> list[RgbdFrame]:
 
 
 def main() -> None:
-    (folder,) = paths(__doc__, "ROOM", 1)
+    folder = given(__doc__, "room").room
     content = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     at_m = {one["name"]: np.array(one["position_m"]) for one in content["places"]}
     ours = open_capture(folder)

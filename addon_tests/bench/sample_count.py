@@ -1,32 +1,28 @@
 """What do a noise target and renders that are not made twice save, at equal noise of the light?
 
-    python addon_tests/bench/sample_count.py [--size 128x96] [--presets balanced,draft] [--step 3]
+    python addon_tests/bench/sample_count.py [--size 128x96] [--presets balanced,draft]
 
 A walk: capture, light probes and, at every n-th frame, the comparison of three methods; nothing is stored, and the
 chain is left out. Before, each frame renders all of it with fixed numbers of samples. Now the walk has its pilot and
 its look at what changes, both counted, takes the samples that reach the preset's noise target, and takes over what an
 earlier frame has already. Light transport is planned in both.
 
-First table, for each preset: `living_room` with a phone that stops and goes: of 24 frames it walks four and holds its
+A table for each preset, of `living_room` with a phone that stops and goes: of 24 frames it walks four and holds its
 pose for four, three times, or walks four and holds for eight, twice. Fixed numbers are those that the pilot finds, so
-that noise is equal and what is saved is renders.
-Second table: each scene on its own walk in the last of the presets (every `--step`-th frame timed, renders counted over
-all). Fixed numbers are those of the scene that needs the most, since a number that is fixed for all scenes must reach
-the target there as well.
-Seconds are of processor time, all threads together, which a busy machine stretches less than the clock's.
+that noise is equal and what is saved is renders. Seconds are of processor time, all threads together, which a busy
+machine stretches less than the clock's.
 """
 
 from __future__ import annotations
 
-import argparse
-import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import bpy
+from given import given, words
 
 from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
@@ -34,7 +30,7 @@ from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import open_comparer
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.light_transport import cycles_settings
-from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
+from xihe_blender.light_transport.render_reuse import SceneState, each_its_own, plan_render_reuse
 from xihe_blender.previs.plan import PrevisPlan, plan_previs
 from xihe_blender.previs.sample_count import SampleCount, measure_sample_count
 from xihe_blender.previs.settings import PrevisSettings
@@ -44,7 +40,7 @@ from xihe_blender.scene.state import scene_kept
 from xihenet.effects import plan_effects
 from xihenet.records import ObjectLight
 
-SCENES = Path(__file__).resolve().parents[2] / "blend_scenes"
+SCENE = Path(__file__).resolve().parents[2] / "blend_scenes" / "living_room.blend"
 METHODS = ("projection", "ambient", "truth")
 
 
@@ -73,10 +69,9 @@ class Walked(NamedTuple):
         return self.walk_s + self.compare_s
 
 
-def open_stage(name: str, settings: PrevisSettings, held: int = 0) -> Stage:
-    scene = open_blend(SCENES / f"{name}.blend")
-    if held:
-        stop_and_go(scene, held)
+def open_stage(settings: PrevisSettings, held: int) -> Stage:
+    scene = open_blend(SCENE)
+    stop_and_go(scene, held)
     plan = plan_previs(scene, settings)
     survey = survey_path(scene, plan)
     transport = cycles_settings(plan_effects(survey.required, {}))
@@ -96,19 +91,10 @@ def stop_and_go(scene: bpy.types.Scene, held: int) -> None:
         phone.keyframe_insert("rotation_euler", frame=frame)
 
 
-def as_surveyed(survey: SceneSurvey) -> RenderReuse:
-    """What a run renders."""
-    return plan_render_reuse({frame: one.state for frame, one in survey.frames.items()}, survey.in_view, {})
-
-
-def every_frame(survey: SceneSurvey) -> RenderReuse:
-    """Nothing is ever the same, so that every frame is rendered."""
-    return plan_render_reuse(each_its_own(survey.frames), survey.in_view, {})
-
-
-def walk(stage: Stage, sample_count: SampleCount, reuse: RenderReuse) -> Walked:
-    """Render what no earlier frame has."""
+def walk(stage: Stage, sample_count: SampleCount, states: Mapping[int, SceneState]) -> Walked:
+    """Render what no earlier frame of the same state has."""
     scene, plan, survey, settings, exposure, transport = stage
+    reuse = plan_render_reuse(states, survey.in_view, {})
     start = time.process_time()
     capture = replace(settings.capture(plan.size, sample_count.capture_samples), light_transport=transport)
     reference = replace(settings.reference, light_transport=transport)
@@ -146,7 +132,7 @@ def adaptive_walk(stage: Stage) -> tuple[Walked, SampleCount]:
     survey = survey_path(stage.scene, stage.plan)
     sample_count = measure_sample_count(*stage)
     before_s = time.process_time() - start
-    walked = walk(stage, sample_count, as_surveyed(survey))
+    walked = walk(stage, sample_count, survey.states)
     return walked._replace(walk_s=before_s + walked.walk_s), sample_count
 
 
@@ -154,12 +140,13 @@ def still_table(settings: PrevisSettings) -> Iterator[str]:
     """The table, line by line."""
     walks = {}
     for held in (4, 8):
-        stage = open_stage("living_room", settings, held)
+        stage = open_stage(settings, held)
         with scene_kept():
             walks[f"now, holds for {held} of {4 + held}"], sample_count = adaptive_walk(stage)
             if held == 4:
-                before = walk(stage, sample_count, every_frame(stage.survey))
-    yield f"living_room, stop and go, {settings.preset}, {said(sample_count)}"
+                before = walk(stage, sample_count, each_its_own(stage.survey.frames))
+    took = f"{sample_count.capture_samples} samples ({sample_count.capture_noise:.1%} noise)"
+    yield f"living_room, stop and go, {settings.preset}, captures {took}"
     yield f"{'':<26}{'captures, probes':>24}{'compared':>16}{'all':>16}"
     for name, walked in {"fixed, every frame": before, **walks}.items():
         counts = f"{walked.captures:3} {walked.probes:3}"
@@ -168,47 +155,12 @@ def still_table(settings: PrevisSettings) -> Iterator[str]:
         yield f"{name:<26}{counts} {walk_part:>16}{walked.comparisons:3}{compare_part:>16}{all_of_it:>16}"
 
 
-def said(sample_count: SampleCount) -> str:
-    return f"captures {sample_count.capture_samples} samples ({sample_count.capture_noise:.1%} noise)"
-
-
-def kept_counts(name: str, settings: PrevisSettings) -> str:
-    """Captures and probes that the scene's whole own walk renders, of those that it needs."""
-    scene = open_blend(SCENES / f"{name}.blend")
-    reuse = as_surveyed(survey_path(scene, plan_previs(scene, settings)))
-    captures = [source == frame for frame, source in reuse.captures.items()]
-    probes = [source == frame for (frame, _), source in reuse.probes.items()]
-    return f"{sum(captures):5} /{len(captures):3}{sum(probes):8} /{len(probes):3}"
-
-
-def scene_table(size: tuple[int, int], preset: str, step: int) -> Iterator[str]:
-    """The table, line by line."""
-    names = sorted(path.stem for path in SCENES.glob("*.blend"))
-    settings = PrevisSettings(size=size, preset=preset, frames=tuple(range(1, 25, step)))
-    most = SampleCount(max(measure_sample_count(*open_stage(name, settings)).capture_samples for name in names))
-    yield f"own walks, {preset}, fixed: captures {most.capture_samples} samples"
-    yield f"{'':<20}{'captures':>10}{'probes':>12}{'fixed s':>10}{'now s':>8}{'':>8}  samples now"
-    for name in names:
-        stage = open_stage(name, settings)
-        with scene_kept():
-            now, sample_count = adaptive_walk(stage)
-            before = walk(stage, most, every_frame(stage.survey))
-        counts = kept_counts(name, PrevisSettings(size=size, preset=preset))
-        ratio = f"{before.seconds / now.seconds:7.2f}x"
-        yield f"{name:<20}{counts}{before.seconds:10.1f}{now.seconds:8.1f}{ratio}  {said(sample_count)}"
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", type=picture_size, default=(128, 96))
-    parser.add_argument("--presets", default="balanced,draft", type=lambda text: text.split(","))
-    parser.add_argument("--step", type=int, default=3)
-    options = parser.parse_args()
+    options = given(__doc__, size=(picture_size, (128, 96)), presets=(words, ["balanced", "draft"]))
     with blender_output_aside() as (stdout, _):
-        still = [still_table(PrevisSettings(size=options.size, preset=preset)) for preset in options.presets]
-        scenes = scene_table(options.size, options.presets[-1], options.step)
-        for line in itertools.chain(*still, [""], scenes):
-            print(line, file=stdout, flush=True)
+        for preset in options.presets:
+            for line in still_table(PrevisSettings(size=options.size, preset=preset)):
+                print(line, file=stdout, flush=True)
 
 
 if __name__ == "__main__":

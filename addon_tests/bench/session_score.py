@@ -15,7 +15,7 @@ from functools import reduce
 from pathlib import Path
 
 import numpy as np
-from given import paths
+from given import given
 
 from xihenet import estimators
 from xihenet.buffers import merge
@@ -59,7 +59,7 @@ def scores(capture: Capture) -> dict[str, float]:
 
 
 def main() -> None:
-    folders, correlations, n_best = paths(__doc__, "ROOM"), [], 0
+    folders, correlations, n_best = given(__doc__, "rooms+").rooms, [], 0
     print("| recording | " + " | ".join(f"{name}: score, error" for name in NAMES) + " | rank correlation |")
     print("| --- |" + " --- |" * (len(NAMES) + 1))
     for folder in folders:

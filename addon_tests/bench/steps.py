@@ -12,12 +12,12 @@ two furnished scenes.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import statistics
 from dataclasses import replace
 
 import numpy as np
+from given import given
 from interleaved import interleaved_ms
 
 from xihenet import estimators
@@ -65,9 +65,7 @@ def cost_of_patches(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=50)
-    repeats = parser.parse_args().repeats
+    repeats = given(__doc__, repeats=50).repeats
     lattice, settings = AnchorLattice(1280), TriggerSettings()
     frames = [frame_of_a_box(seed) for seed in range(2)]
     points = unproject_frame(frames[0])

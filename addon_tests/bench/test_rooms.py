@@ -11,13 +11,13 @@ patches are two ways to sample, see `xihenet.patches`; facing weighs patches by 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from given import given
 
 from xihenet import estimators
 from xihenet.buffers import merge_in_sight
@@ -67,10 +67,7 @@ def seen_in(path: Path) -> Iterator[Seen]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rooms", type=Path)
-    parser.add_argument("--training", type=Path, required=True)
-    options = parser.parse_args()
+    options = given(__doc__, "rooms", training=Path)
     mean_sh = np.concatenate([read_npz(path)["sh_ldr"] for path in room_files(options.training)]).mean(axis=0)
     loaded, files = [estimators.load(name) for name in NAMES], room_files(options.rooms)
     errors: dict[tuple[str, str, str], list[float]] = {}

@@ -9,10 +9,11 @@ how long stages that are still to come will take (`PreparedRun.work`).
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from pathlib import Path
+
+from given import given
 
 from xihe_blender.cli.arguments import frame_range
 from xihe_blender.jobs import TimeLeft
@@ -41,11 +42,7 @@ def measure(path: Path, settings: PrevisSettings) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenes", nargs="+", type=Path)
-    parser.add_argument("--frames", type=frame_range)
-    parser.add_argument("--preset", default="draft")
-    options = parser.parse_args()
+    options = given(__doc__, "scenes+", frames=(frame_range, None), preset="draft")
     for path in options.scenes:
         measure(path, PrevisSettings(frames=options.frames, preset=options.preset))
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from given import paths
+from given import given
 
 from xihe_blender.previs.prepare import above_noise
 from xihe_blender.previs.settings import PREVIS_TRIGGER
@@ -95,7 +95,7 @@ def cell(recorded: Recorded, settings: TriggerSettings) -> str:
 
 
 def main() -> None:
-    runs = [read_run(folder) for folder in paths(__doc__, "RUN")]
+    runs = [read_run(folder) for folder in given(__doc__, "runs+").runs]
     thresholds = [c.light_theta if c.policy == "light" else c.theta for c in CANDIDATES]
     headings = [f"{c.policy}, {t}, {c.view_angle_deg:g} degrees" for c, t in zip(CANDIDATES, thresholds, strict=True)]
     print("share of steps that fire (first+colour+coverage+light of all) / error against truth")

@@ -14,12 +14,11 @@ the clouds of a room, the mean of the rooms, from one view and from all, in numb
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from functools import reduce
-from pathlib import Path
 
 import numpy as np
+from given import given
 
 from xihenet import estimators
 from xihenet.buffers import merge_in_sight
@@ -73,10 +72,7 @@ def errors_of(room: TrainingRoom, estimator: Estimator) -> list[np.ndarray]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rooms", nargs="+", type=Path)
-    parser.add_argument("--estimator", default="lattice", choices=["lattice", "projection"])
-    options = parser.parse_args()
+    options = given(__doc__, "rooms+", estimator="lattice")
     estimator = estimators.load(options.estimator)
     errors = []
     for path in (path for folder in options.rooms for path in room_files(folder)):
