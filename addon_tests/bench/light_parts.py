@@ -44,7 +44,8 @@ from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.blend_file import open_blend
-from xihe_blender.scene.estimation_positions import world_box_corners
+from xihe_blender.scene.estimation_positions import box_corners_m
+from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.colour import linear_to_srgb, srgb_to_linear
@@ -74,7 +75,7 @@ def walked_scene(file: Path, out: Path, settings: PrevisSettings) -> tuple[Prepa
 
 def under(item: bpy.types.Object) -> tuple[float, float, float]:
     """The middle of the underside of its box, so that the rig stands where it stood."""
-    corners = world_box_corners(item, bpy.context.evaluated_depsgraph_get())
+    corners = box_corners_m(item, bpy.context.evaluated_depsgraph_get()) / metres_per_unit(bpy.context.scene)
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
     return (float(middle[0]), float(middle[1]), float(corners[:, 2].min()))
 
@@ -140,7 +141,7 @@ def look_at_objects_alone(scene: bpy.types.Scene, objects: Iterable[bpy.types.Ob
     """Render their box in the picture and as much again on each side, where their shadows fall."""
     scene.frame_set(frame)
     depsgraph = scene.view_layers[0].depsgraph
-    corners = np.concatenate([world_box_corners(item, depsgraph) for item in objects])
+    corners = np.concatenate([box_corners_m(item, depsgraph) for item in objects]) / metres_per_unit(scene)
     # The camera as it stands at that frame: the original moves with the window's scene alone.
     camera = scene.camera.evaluated_get(depsgraph)
     places = np.array([world_to_camera_view(scene, camera, Vector(corner))[:2] for corner in corners])

@@ -272,7 +272,7 @@ def test_an_object_that_is_gone_takes_no_light_from_the_others(shown):
     scene, whole = bpy.context.scene, {name: list(of_one) for name, of_one in light_on_the_timeline().items()}
     assert left_out(scene, shown) is None
     bpy.data.objects["Ball"].name = "Renamed"
-    remove_everything(scene)
+    remove_everything()
     bpy.ops.xihe.apply_light()
     light = {name: list(of_one) for name, of_one in light_on_the_timeline().items()}
     assert light == {"Xihe Board": whole["Xihe Board"]}
@@ -297,7 +297,7 @@ def test_removing_leaves_what_a_user_named_like_ours(shown):
     bpy.context.scene.timeline_markers.new("Mine", frame=3)
     other = bpy.data.scenes.new("Other")
     other.timeline_markers.new("Xihe trigger (first)", frame=1)
-    remove_everything(bpy.context.scene)
+    remove_everything()
     assert not other.timeline_markers
     assert [image.name for image in bpy.data.images if image.name.startswith("Xihe")] == ["Xihe Light of mine"]
     assert [world.name for world in bpy.data.worlds if world.name.startswith("Xihe")] == ["Xihe world of mine"]
@@ -355,7 +355,7 @@ def test_moving_the_wipe_composes_the_image_anew(shown):
     truth = colours(COMPARISON_NAME)
     scene.xihe.wipe = 1.0
     assert np.abs(truth - colours(COMPARISON_NAME)).max() > 0.05
-    remove_everything(scene)
+    remove_everything()
     scene.xihe.wipe = 0.3
     assert image_named(COMPARISON_NAME) is None, "a slider makes nothing that was removed"
 
@@ -370,7 +370,7 @@ def test_the_comparison_follows_the_playhead(shown):
         assert image["xihe_frame"] == frame
         expected = pixels_of_file(shown / "pictures" / f"ground_truth_{frame:04d}.png")[:, -1, :3]
         np.testing.assert_allclose(pixels(image)[:, -1, :3], expected, atol=1e-6)
-    remove_everything(scene)
+    remove_everything()
     follow_playhead()
     assert image_named(COMPARISON_NAME) is None, "a playhead makes nothing that was removed"
 

@@ -703,7 +703,7 @@ def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(tmp_p
         n_faces = sum(len(face.vertices) - 2 for face in scan_of(scene).data.polygons)
         assert len(catcher.data.polygons) == n_faces
         assert scan_of(scene).data != catcher.data
-        remove_everything(lit)
+        remove_everything()
         assert scan_of(scene) is not None and len(scan_of(scene).data.polygons) > 0
         assert result_rows(read_results(tmp_path / "out"))
 

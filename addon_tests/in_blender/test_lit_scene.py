@@ -409,7 +409,7 @@ def test_what_stands_in_front_of_an_object_hides_it_and_does_not_light_it(ran, s
     assert is_object.sum() > 10
     np.testing.assert_allclose(lamp_behind_the_phone, alone, atol=0.02)
     np.testing.assert_allclose(hidden[is_object], captured[is_object], atol=0.01)
-    remove_everything(bpy.data.scenes["Scene"])
+    remove_everything()
     assert not [item.name for item in bpy.data.objects if item.name.startswith(LIT_SCENE)]
 
 
@@ -579,7 +579,7 @@ def test_a_lamp_of_the_user_stays_in_it_when_it_is_made_anew_and_never_lights_th
     remove_lit_scene()
     assert lit_scene() is None and not lamp.users_scene
     assert lamp in set(show_lit(room, ran.out).objects) and lamp not in set(room.objects)
-    remove_everything(room)
+    remove_everything()
     bpy.data.orphans_purge()
     assert lamp in set(bpy.data.objects), "it is the user's"
 
@@ -607,10 +607,9 @@ def test_the_one_that_was_saved_with_the_run_is_shown_over_its_frames_as_it_was_
     assert "Xihe Lit Table" in saved_lit.objects
 
 
-@pytest.mark.parametrize("asked_from_the_lit_scene", [True, False])
-def test_removing_the_light_takes_it_away(ran, shown, asked_from_the_lit_scene):
+def test_removing_the_light_takes_it_away(ran, shown):
     assert has_anything(shown)
-    remove_everything(shown if asked_from_the_lit_scene else bpy.data.scenes["Scene"])
+    remove_everything()
     bpy.context.view_layer.update()
     assert data_blocks(snapshot()) == data_blocks(ran.before)
 

@@ -198,7 +198,7 @@ def test_the_scene_is_as_it_was_after_runs_and_after_what_they_added_is_removed(
     assert once >= {"worlds/Xihe Ball", "worlds/Xihe Board", "node_groups/Xihe SH Radiance"}
     run(scene, tmp_path / "second", SHORT)
     assert data_blocks(snapshot()) == once
-    remove_everything(scene)
+    remove_everything()
     assert data_blocks(snapshot()) == data_blocks(before)
     assert_kept(before)
     assert [marker.name for marker in scene.timeline_markers] == ["Mine"]

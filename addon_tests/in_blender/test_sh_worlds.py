@@ -24,10 +24,11 @@ from xihe_blender.apply.session import XiheController
 from xihe_blender.apply.sh_worlds import (
     apply_sh_to_world,
     f_curves,
-    key_sh_on_world,
+    key_light_changes,
     make_sh_world,
     mark_trigger,
     remove_applied_light,
+    remove_trigger_markers,
 )
 from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
@@ -73,8 +74,7 @@ def test_keyed_light_plays_back_frame_by_frame_and_does_not_blend():
     scene = empty_scene()
     world = make_sh_world("Xihe Ball")
     light = {frame: np.full((9, 3), float(frame)) for frame in (1, 5, 9)}
-    for frame, coefficients in light.items():
-        key_sh_on_world(world, frame, coefficients, exposure=2.0)
+    key_light_changes(world, light, exposure=2.0)
     scene.world = world
     assert keyed(world)[1] == {"CONSTANT"}
     for frame, expected in ((1, 1), (4, 1), (5, 5), (8, 5), (9, 9), (20, 9)):
@@ -89,8 +89,7 @@ def test_a_keyed_world_override_is_evaluated_in_each_frame():
     sphere(scene, "Ball", (0, 0, 0), 1.0, material("White", (1, 1, 1)), virtual_collection(scene, create=True))
     orthographic(scene)
     world = make_sh_world(world_name("Ball"))
-    for frame in (1, 2):
-        key_sh_on_world(world, frame, constant(np.eye(3)[frame]))
+    key_light_changes(world, {frame: constant(np.eye(3)[frame]) for frame in (1, 2)})
     with working_scene(scene, "Test", RenderSettings((16, 16), 16, denoise=False)) as working:
         working.view_layers[0].world_override = world
         for frame in (1, 2):
@@ -204,14 +203,15 @@ def test_removing_takes_worlds_node_group_and_markers_and_leaves_the_users():
     make_sh_world("Xihe Ball")
     mark_trigger(scene, 3, ["first", "colour", "first"])
     assert [m.name for m in scene.timeline_markers if m.frame == 3] == ["Xihe trigger (colour, first)"]
-    remove_applied_light(scene)
+    remove_applied_light()
+    remove_trigger_markers(scene)
     assert list(bpy.data.worlds) == [mine] and not bpy.data.node_groups
     assert list(scene.timeline_markers) == [marker]
 
 
 def test_making_a_world_again_starts_it_anew():
     empty_scene()
-    key_sh_on_world(make_sh_world("Xihe Ball"), 1, np.ones((9, 3)))
+    key_light_changes(make_sh_world("Xihe Ball"), {1: np.ones((9, 3))})
     again = make_sh_world("Xihe Ball")
     assert len([w for w in bpy.data.worlds if w.name.startswith("Xihe Ball")]) == 1
     assert f_curves(again.node_tree) == [] and lights_by_sh(again)

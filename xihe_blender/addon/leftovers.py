@@ -13,8 +13,7 @@ import bpy
 
 from xihe_blender.addon.background_run import newest_run
 from xihe_blender.addon.runs_folder import last_part, last_run
-from xihe_blender.apply.datablocks import OF_RUN, ROOM, RUN_BESIDE, lit_scene
-from xihe_blender.apply.lit_scene import remove_lit_collections
+from xihe_blender.apply.datablocks import OF_RUN, ROOM, RUN_BESIDE, lit_scene, remove_lit_collections
 from xihe_blender.errors import UserError
 from xihe_blender.scene.state import WORKING, evaluate_pending, remove_copied_scene
 

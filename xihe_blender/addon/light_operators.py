@@ -178,7 +178,7 @@ class XIHE_OT_remove_light(Action, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> None:
         from xihe_blender.addon.results_in_blender import remove_everything
 
-        remove_everything(context.scene)
+        remove_everything()
         _put_views_back()
 
 

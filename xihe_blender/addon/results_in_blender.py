@@ -28,7 +28,6 @@ from xihe_blender.apply.datablocks import (
     image_named,
     lit_scene,
     our_images,
-    room_of,
     trigger_markers,
     world_name,
 )
@@ -37,7 +36,6 @@ from xihe_blender.apply.key_suns import key_suns, remove_key_sun
 from xihe_blender.apply.keys import clear_keys, hold_keys
 from xihe_blender.apply.lit_scene import (
     CapturedFrames,
-    has_compositor,
     has_its_frames,
     hide_behind_room,
     is_of_run,
@@ -141,7 +139,7 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
         path = range(min(scene.frame_start, results.frames[0].frame), results.frames[-1].frame + 1)
         size, cameras = results.settings.size, phone_cameras(folder, captured)
         frames = CapturedFrames(pictures, path, folder / "lit", size, exposure, cameras)
-        put_over_frames(lit, frames, keeps_compositor=has_compositor(lit))
+        put_over_frames(lit, frames)
     lit.world = applied_worlds(scene).get(active, lit.world)
     return lit
 
@@ -313,19 +311,18 @@ def go_to_trigger(scene: bpy.types.Scene, direction: str) -> int | None:
 # ------------------------------------------------------------------------------------------------------------ removal
 
 
-def remove_everything(scene: bpy.types.Scene) -> None:
+def remove_everything() -> None:
     """Take away all that runs left: worlds, node group, markers, images, lit scene, placement map, camera.
 
-    Of the other scenes as well: without their worlds their markers would say what is not so.
+    Of all scenes: without their worlds their markers would say what is not so.
     """
-    room = room_of(scene)
     remove_lit_scene()
     remove_placement_map()
-    remove_applied_light(room)
+    remove_applied_light()
     for sun in key_suns():
         remove_key_sun(sun)
-    for other in [other for other in bpy.data.scenes if other.library is None]:
-        remove_trigger_markers(other)
+    for scene in [scene for scene in bpy.data.scenes if scene.library is None]:
+        remove_trigger_markers(scene)
     for image in list(our_images()):
         bpy.data.images.remove(image)
     remove_better_camera()

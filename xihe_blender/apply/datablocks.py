@@ -146,6 +146,12 @@ def lit_scene() -> bpy.types.Scene | None:
     return next((scene for scene in bpy.data.scenes if ROOM in scene and scene.library is None), None)
 
 
+def remove_lit_collections() -> None:
+    """Remove the collections that were made for `Xihe Lit` and that no scene uses any more."""
+    for collection in [c for c in bpy.data.collections if c.name.startswith(f"{LIT_SCENE} ") and c.users == 0]:
+        bpy.data.collections.remove(collection)
+
+
 def room_of(scene: bpy.types.Scene) -> bpy.types.Scene:
     """The scene that has the run: `scene`, or the one that it shows the objects of."""
     return scene.get(ROOM) or scene

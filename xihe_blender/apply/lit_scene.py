@@ -16,23 +16,31 @@ import shutil
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import bmesh
 import bpy
 from mathutils import Matrix
 
-from xihe_blender.apply.datablocks import KEY_LIGHT, LIT_SCENE, OF_RUN, ROOM, SHADOW_CATCHER, lit_scene
+from xihe_blender.apply.datablocks import (
+    KEY_LIGHT,
+    LIT_SCENE,
+    OF_RUN,
+    ROOM,
+    SHADOW_CATCHER,
+    lit_scene,
+    remove_lit_collections,
+)
+from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.io.outputs import link_or_copy
+from xihe_blender.scene.colour_management import show_as_it_is
+from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
 from xihe_blender.scene.shader_nodes import Interaction, material_shading
 from xihe_blender.scene.state import animated_paths, remove_copied_scene, show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import listed, virtual_collection
-
-if TYPE_CHECKING:
-    from xihenet.io.frame_files import FrameCamera
+from xihenet.io.frame_files import FrameCamera
 
 PHONE = "Xihe Phone"
 """Begins the names of the copied cameras."""
@@ -98,14 +106,12 @@ class CapturedFrames:
         return folder / "frame_0001.png"
 
 
-def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames, *, keeps_compositor: bool = False) -> None:
+def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames) -> None:
     """Show the captured frames behind the objects: in the camera's view, and in what is rendered.
 
     The picture keeps the frames' shape, and is as large along its longer side as the scene's own. One that the user
-    makes wider shows the middle of the frame. With `keeps_compositor` its nodes stay as they are.
+    makes wider shows the middle of the frame. Where the scene has compositor nodes, they stay as they are.
     """
-    from xihe_blender.scene.colour_management import show_as_it_is  # The panel, which imports this, knows no NumPy
-
     first = frames.write_sequence()
     image = bpy.data.images.load(str(first))
     if bpy.data.filepath and first.is_relative_to(Path(bpy.data.filepath).parent):
@@ -134,7 +140,8 @@ def put_over_frames(lit: bpy.types.Scene, frames: CapturedFrames, *, keeps_compo
     view.exposure, lit.cycles.film_exposure = math.log2(frames.exposure), 1.0
     if hasattr(view, "use_white_balance"):  # from Blender 4.3 on
         view.use_white_balance = False
-    if not keeps_compositor:
+    is_composed = lit.compositing_node_group is not None if hasattr(lit, "compositing_node_group") else lit.use_nodes
+    if not is_composed:
         _compose(lit, image, frames)
 
 
@@ -216,8 +223,6 @@ def _draw_no_lines(copied: bpy.types.Object, tidied: dict[bpy.types.ID, bpy.type
 
 def _without_loose_edges(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
     """A copy without the edges that have no face; `mesh` itself where there are none. The vertices are the same."""
-    from xihe_blender.scene.mesh_arrays import array_of
-
     if not array_of(mesh.edges, "is_loose", bool).any():
         return mesh
     copied = mesh.copy()
@@ -257,8 +262,6 @@ def _phone_with(
     phone.data = camera.data.copy()
     phone.name = phone.data.name = PHONE
     if frames.cameras:
-        from xihe_blender.apply.keyed_camera import key_camera
-
         phone.data.animation_data_clear()
         key_camera(phone, frames.cameras, unit_m, is_held=True)
         # Blender may evaluate it before a window shows it, and then keeps where it is to itself.
@@ -443,10 +446,6 @@ def is_over_frames(lit: bpy.types.Scene) -> bool:
     return bool(_phones(lit))
 
 
-def has_compositor(lit: bpy.types.Scene) -> bool:
-    return lit.compositing_node_group is not None if hasattr(lit, "compositing_node_group") else lit.use_nodes
-
-
 def leave_compositor(lit: bpy.types.Scene) -> None:
     """Take away the nodes that `lit` was copied with: they are of another scene's view layers."""
     if hasattr(lit, "compositing_node_group"):
@@ -490,9 +489,3 @@ def show_only_in(lit: bpy.types.Scene, item: bpy.types.Object, layers: Container
     lit.collection.children.link(collection)
     for layer in lit.view_layers:
         layer.layer_collection.children[collection.name].exclude = layer.name not in layers
-
-
-def remove_lit_collections() -> None:
-    """Remove the collections that `set_up_lit_scene` made and no scene uses any more."""
-    for collection in [c for c in bpy.data.collections if c.name.startswith(f"{LIT_SCENE} ") and c.users == 0]:
-        bpy.data.collections.remove(collection)

@@ -7,7 +7,7 @@ it out, once.
 
 Inputs are keyed, with constant interpolation, at the frames at which estimates arrive, so that the timeline plays the
 lighting back and the Graph Editor shows it; timeline markers show the triggers. All that is left in a file is named
-`Xihe ...`, and `remove_applied_light` takes it away.
+`Xihe ...`; `remove_applied_light` and `remove_trigger_markers` take it away.
 """
 
 from __future__ import annotations
@@ -100,27 +100,24 @@ def apply_sh_to_world(
     inputs[GAIN].default_value = 1.0 / exposure
 
 
-def key_sh_on_world(world: bpy.types.World, frame: int, sh_radiance: ArrayLike, exposure: float = 1.0) -> None:
-    """Like `apply_sh_to_world`, from `frame` on: keyed with constant interpolation, as estimates arrive."""
-    apply_sh_to_world(world, sh_radiance, exposure)
+def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], exposure: float = 1.0) -> None:
+    """Like `apply_sh_to_world` from each frame of `lights` on, (9, 3) each, in order, in place of all keys.
+
+    Keyed with constant interpolation, as estimates arrive.
+    """
+    clear_keys(world.node_tree)
+    if not lights:
+        return
+    frames = list(lights)
+    values = in_working_space(np.stack([np.asarray(light, np.float64) for light in lights.values()]))
+    apply_sh_to_world(world, lights[frames[0]], exposure)
     animation = world.node_tree.animation_data_create()
     if animation.action is None:
         # Blender 4.3 names an action after the node tree, "Shader Nodetree": nobody would know whose it is.
         animation.action = bpy.data.actions.new(world.name)
     inputs = inputs_of_world(world)
     for name in (*COEFFICIENTS, GAIN):
-        inputs[name].keyframe_insert("default_value", frame=frame)
-    hold_keys(world.node_tree)
-
-
-def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], exposure: float) -> None:
-    """As `key_sh_on_world` at each frame of `lights`, (9, 3) each, in order, in place of all keys; at once."""
-    clear_keys(world.node_tree)
-    if not lights:
-        return
-    frames = list(lights)
-    values = in_working_space(np.stack([np.asarray(light, np.float64) for light in lights.values()]))
-    key_sh_on_world(world, frames[0], lights[frames[0]], exposure)
+        inputs[name].keyframe_insert("default_value", frame=frames[0])
     for index, curve in light_curves(world):
         own = values[:, index, curve.array_index] if index < len(COEFFICIENTS) else np.full(len(frames), 1 / exposure)
         add_keys(curve, frames, own)
@@ -141,9 +138,8 @@ def remove_trigger_markers(scene: bpy.types.Scene) -> None:
         scene.timeline_markers.remove(marker)
 
 
-def remove_applied_light(scene: bpy.types.Scene) -> None:
-    """Take everything away that applying left in the file: worlds, node group, markers."""
-    remove_trigger_markers(scene)
+def remove_applied_light() -> None:
+    """Take the worlds and the node group that applying left out of the file."""
     for world in [w for w in bpy.data.worlds if lights_by_sh(w) and w.library is None]:
         remove_animation(world)
         remove_animation(world.node_tree)

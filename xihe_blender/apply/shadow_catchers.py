@@ -9,18 +9,16 @@ EEVEE knows no shadow catchers; there a catcher is not seen.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import bpy
+import numpy as np
 
 from xihe_blender.apply.datablocks import PREFIX, SHADOW_CATCHER, shortened
+from xihe_blender.scene.mesh_arrays import array_of, fill_mesh
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.state import show_to_camera_alone
-
-if TYPE_CHECKING:  # The panel, which asks for what is left of a run, must do without NumPy.
-    from xihenet.records import ArrayF32, ArrayF64
-    from xihenet.walk.surfaces import Surface
-
+from xihenet.records import ArrayF32, ArrayF64
+from xihenet.walk.surfaces import Surface
 
 CATCHER_INDEX = 32767
 """Pass index of a catcher, by which pixels that show one are told from others: the largest that there is."""
@@ -68,10 +66,6 @@ def catch_shadows_of(
     With `around`, a middle (3,) and a distance in Blender units, for what is no farther from there: a ray that meets a
     catcher costs several times one that meets nothing.
     """
-    import numpy as np
-
-    from xihe_blender.scene.mesh_arrays import fill_mesh
-
     if around is not None:
         middle, reach = around
         away = np.linalg.norm(triangles - middle, axis=-1)
@@ -84,20 +78,11 @@ def catch_shadows_of(
 
 def corners_of(item: bpy.types.Object) -> ArrayF64:
     """(N, 3) the corners of a mesh without modifiers, in its own axes: of a catcher those of the world."""
-    import numpy as np
-
-    from xihe_blender.scene.mesh_arrays import array_of
-
-    mesh = item.data
-    return array_of(mesh.vertices, "co", np.float32, 3).astype(np.float64)
+    return array_of(item.data.vertices, "co", np.float32, 3).astype(np.float64)
 
 
 def triangles_of(scan: bpy.types.Object) -> ArrayF32:
     """(N, 3, 3) corners of the faces of a mesh, world, Blender units; of what its modifiers make nothing is known."""
-    import numpy as np
-
-    from xihe_blender.scene.mesh_arrays import array_of
-
     mesh = scan.data
     mesh.calc_loop_triangles()
     corners = array_of(mesh.loop_triangles, "vertices", np.int32, 3)

@@ -22,9 +22,9 @@ from types import MappingProxyType
 import bpy
 import numpy as np
 
-from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX
+from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX, remove_lit_collections
 from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, remove_key_sun, show_in_reflections
-from xihe_blender.apply.lit_scene import remove_lit_collections, set_up_lit_scene, show_only_in
+from xihe_blender.apply.lit_scene import set_up_lit_scene, show_only_in
 from xihe_blender.apply.reflection_pictures import forget_reflections, has_sun_for_lamp, reflect_in_world
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world, remove_unused_node_group
 from xihe_blender.apply.shadow_catchers import (
@@ -50,7 +50,6 @@ from xihe_blender.compare.shadows import (
     BRIGHTEST,
     SHADOW_CHANNELS,
     around_object,
-    box_of,
     ring_around,
     ring_rmse,
     shadow_of_all,
@@ -60,6 +59,7 @@ from xihe_blender.compare.shadows import (
     touches_view,
 )
 from xihe_blender.io.run_results import Metrics
+from xihe_blender.scene.estimation_positions import box_corners_m
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart, part_around, unproject_frame, valid_plane_depth
 from xihenet.colour import linear_to_srgb, srgb_to_linear
@@ -169,7 +169,7 @@ class Comparer:
         """By object, what captures show of the room around the place where it is at `frame`; none without catchers."""
         self.lit.frame_set(frame)
         depsgraph = self.lit.view_layers[0].depsgraph
-        return {name: surfaces_seen(seen, box_of(bpy.data.objects[name], depsgraph)) for name in self.catchers}
+        return {name: surfaces_seen(seen, box_corners_m(bpy.data.objects[name], depsgraph)) for name in self.catchers}
 
     def render_comparison(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]]) -> Comparison:
         """Ground truth and every method at the frame of `captured`; see `render_methods`."""
@@ -224,7 +224,7 @@ class Comparer:
         depsgraph, unit_m = self.lit.view_layers[0].depsgraph, metres_per_unit(self.lit)
         in_view = {}
         for name, catcher in self.catchers.items():
-            middle_m, reach_m = surroundings(box_of(bpy.data.objects[name], depsgraph))
+            middle_m, reach_m = surroundings(box_corners_m(bpy.data.objects[name], depsgraph))
             catch_shadows_of(catcher, self.recording.scan, (middle_m / unit_m, reach_m / unit_m))
             in_view[name] = around_object(captured, middle_m, reach_m)
         return in_view
@@ -233,7 +233,7 @@ class Comparer:
         """Whether a frame may show any of the objects, or what is around one."""
         self.lit.frame_set(captured.frame)
         depsgraph = self.lit.view_layers[0].depsgraph
-        boxes = [box_of(bpy.data.objects[name], depsgraph) for _, name in self.worlds]
+        boxes = [box_corners_m(bpy.data.objects[name], depsgraph) for _, name in self.worlds]
         return any(touches_view(*surroundings(box), captured.intrinsics, captured.world_from_camera) for box in boxes)
 
     @property
@@ -282,7 +282,7 @@ class Comparer:
         """
         size = (captured.intrinsics.width, captured.intrinsics.height)
         depsgraph, unit_m = self.lit.view_layers[0].depsgraph, metres_per_unit(self.lit)
-        corners_m = [box_of(bpy.data.objects[name], depsgraph) for name in {name for _, name in self.worlds}]
+        corners_m = [box_corners_m(bpy.data.objects[name], depsgraph) for name in {name for _, name in self.worlds}]
         corners_m += [corners_of(catcher) * unit_m for catcher in self.catchers.values()]
         part = part_around(np.concatenate(corners_m), captured.intrinsics, captured.world_from_camera, MARGIN_PX)
         part = PicturePart(0, 0, *size) if part is None else _in_blocks(part, size)

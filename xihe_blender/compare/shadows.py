@@ -10,11 +10,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 
-import bpy
 import numpy as np
 
-from xihe_blender.scene.estimation_positions import world_box_corners
-from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.metrics import image_rmse
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, RgbdFrame
@@ -36,12 +33,6 @@ COLOUR = 0.25
 negative, in a channel and a direction, and a ratio to that says nothing."""
 
 SHADOW_CHANNELS = tuple(f"Shadow Catcher.{channel}" for channel in "RGB")
-
-
-def box_of(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
-    """(K, 3) the corners of an object's box at the frame of `depsgraph`: world, metres."""
-    corners_m: ArrayF64 = world_box_corners(item, depsgraph) * metres_per_unit(depsgraph.scene)
-    return corners_m
 
 
 def surfaces_seen(frames: Sequence[RgbdFrame], corners_m: ArrayF64) -> list[Surface]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -246,9 +245,11 @@ def verify_looks(captured: CapturedPath, found: Sequence[FoundLook], wishes: Loo
     chosen = [one for one in found if one.best is not None and one.advice.look is not None]
     looks = [[one.best.look, *random_looks(path, wishes.n_random, rng, wishes.looks)] for one in chosen if one.best]
     seen = yield from render_looks(captured, [look for of_one in looks for look in of_one], wishes.looks)
-    truths = yield from _true_lights(captured, chosen)
+    places_m = [place_m for one in chosen for place_m in one.target.positions_m]
+    truths = iter((yield from measured_lights(captured.run, places_m)))
     estimator, frames, updated = captured.run.estimator, list(captured.frames), {}
-    for one, of_one, truth in zip(chosen, looks, truths, strict=True):
+    for one, of_one in zip(chosen, looks, strict=True):
+        truth = [next(truths) for _ in one.target.positions_m]
         clouds = [one.target.clouds(frames)]
         clouds += [one.target.clouds(frames, look, seen[_name(look)], session.exposure) for look in of_one]
         before, after, *random_after = (_true_error(estimator, of_look, truth) for of_look in clouds)
@@ -292,10 +293,3 @@ def render_looks(
     for (look, _, _), path in zip(wanted, paths, strict=True):
         seen[_name(look)].append(load_frame(path))
     return seen
-
-
-def _true_lights(captured: CapturedPath, found: Sequence[FoundLook]) -> Job[list[list[ArrayF64]]]:
-    """(9, 3) of a light probe at each position of each object, in the last frame; probes are kept."""
-    lights = yield from measured_lights(captured.run, [place for one in found for place in one.target.positions_m])
-    counts = np.cumsum([0, *(len(one.target.positions_m) for one in found)])
-    return [lights[a:b] for a, b in itertools.pairwise(counts)]

@@ -7,16 +7,18 @@ look from an object and one ball serve for all moments.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
-from xihe_blender.capture.all_around import N_VIEWS, AllAroundScanner, open_all_around
-from xihe_blender.capture.phone_surfaces import load_surfaces, save_surfaces, surfaces_in
+from xihe_blender.capture.all_around import N_VIEWS, open_all_around
+from xihe_blender.capture.phone_surfaces import save_surfaces, surfaces_in
 from xihe_blender.capture.satin_probe import satin_ball_at
 from xihe_blender.io.exr import read_radiance, write_radiance
 from xihe_blender.io.json_records import as_json, read_record
-from xihe_blender.io.kept_files import kept_record, read_kept
+from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
+from xihe_blender.previs.path_renders import is_captured
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihenet.io.recording import load_frame, save_frame
@@ -43,7 +45,12 @@ def place_of(run: PreparedRun, probe: Probe) -> str:
 def look_around(run: PreparedRun, places: Mapping[str, Mapping[int, ArrayF64]]) -> Job[None]:
     """A job: render what is not kept yet of all pictures around `places`, world positions (3,) by place and frame."""
     wanted = sorted((frame, place) for place, at in places.items() for frame in at)
-    missing = [(frame, place) for frame, place in wanted if not _is_kept(run, place, frame)]
+    keeping = replace(run.needs, radiance=True)
+    missing = [
+        (frame, place)
+        for frame, place in wanted
+        if not all(is_captured(view_outputs(run, place, view), keeping, frame) for view in range(N_VIEWS))
+    ]
     if not missing:
         return
     with open_all_around(run.scene, run.capture, exposure=run.exposure, with_surfaces=run.needs.surfaces) as around:
@@ -51,27 +58,14 @@ def look_around(run: PreparedRun, places: Mapping[str, Mapping[int, ArrayF64]]) 
             yield Progress(done, len(missing), f"looking around in frame {frame}")
             around.scanner.scene.frame_set(frame)
             for view in range(N_VIEWS):
-                _keep_view(run, around, view_outputs(run, place, view), view, places[place][frame])
-
-
-def _keep_view(run: PreparedRun, around: AllAroundScanner, outputs: RunOutputs, view: int, place_m: ArrayF64) -> None:
-    seen, radiance = around.look(view, place_m)
-    if run.needs.surfaces:
-        roughness = run.survey.frames[seen.frame].roughness
-        save_surfaces(outputs.surfaces(seen.frame), surfaces_in(around.scanner.rendered.passes, roughness))
-    write_radiance(outputs.radiance("captured", seen.frame), radiance)
-    outputs.capture(seen.frame).parent.mkdir(parents=True, exist_ok=True)
-    save_frame(outputs.capture(seen.frame), seen)
-
-
-def _is_kept(run: PreparedRun, place: str, frame: int) -> bool:
-    """Whether each piece of six pictures can be read."""
-    for outputs in (view_outputs(run, place, view) for view in range(N_VIEWS)):
-        has_surfaces = not run.needs.surfaces or read_kept(outputs.surfaces(frame), load_surfaces) is not None
-        has_radiance = read_kept(outputs.radiance("captured", frame), read_radiance) is not None
-        if not (has_surfaces and has_radiance and read_kept(outputs.capture(frame), load_frame) is not None):
-            return False
-    return True
+                outputs = view_outputs(run, place, view)
+                seen, radiance = around.look(view, places[place][frame])
+                if run.needs.surfaces:
+                    roughness = run.survey.frames[frame].roughness
+                    save_surfaces(outputs.surfaces(frame), surfaces_in(around.scanner.rendered.passes, roughness))
+                write_radiance(outputs.radiance("captured", frame), radiance)
+                outputs.capture(frame).parent.mkdir(parents=True, exist_ok=True)
+                save_frame(outputs.capture(frame), seen)
 
 
 def kept_views(run: PreparedRun, place: str, frame: int) -> list[View]:

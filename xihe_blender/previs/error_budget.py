@@ -68,7 +68,6 @@ from xihe_blender.previs.plan import Probe, check_is_rendered, made_of, plan_pre
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
-from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.budget import write_budget_report
 from xihe_blender.scene.state import scene_kept
 from xihenet import estimators
@@ -112,14 +111,13 @@ def error_budget(
 
     UserError for a scene that cannot be run, a folder that holds something else, or if no object is ever in view.
     """
-    settings = replace(settings, captured="path", target="hdr", others=())
+    settings = replace(settings, captured="path", target="hdr", light="sh", others=())
     if n_moments < 1:
         raise UserError(f"an error cannot be measured in {n_moments} moments: give --moments 1 or more")
     if n_seeds < 1:
         raise UserError(f"an error cannot be measured with {n_seeds} seeds: give --seeds 1 or more")
     if settings.estimator == "truth":
         raise UserError("the light of `truth` is rendered and has no error to divide: choose another --estimator")
-    settings = replace(settings, light="sh")
     check_is_rendered(scene)
     plan, loaded = plan_previs(scene, settings), load_estimators(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
@@ -165,23 +163,16 @@ class _Measured:
 
 
 def _with_one_seed(run: PreparedRun, n_moments: int) -> Job[_Measured]:
-    """A job: render what the budget needs with the seed of `run`, and measure the errors."""
-    budget = yield from _rendered(run, n_moments)
-    yield Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
-    errors = {item.name: budget.of_object(item.name) for item in run.plan.objects}
-    return _Measured(budget.moments, {name: one for name, one in errors.items() if one is not None})
-
-
-def _rendered(run: PreparedRun, n_moments: int) -> Job[_Budget]:
-    """A job: render all that the budget needs and is not kept yet."""
+    """A job: render what the budget needs with the seed of `run` and is not kept yet, and measure the errors."""
     run.outputs.settings.parent.mkdir(parents=True, exist_ok=True)
     keeping = replace(run, needs=replace(run.needs, radiance=True))
     yield from part_of(1, 0, CAPTURE_SHARE, render_captures(keeping))
-    phone = phone_of_captures(run)
-    budget = _Budget(run, phone, {probe.name: _moments(run, probe, n_moments) for probe in run.plan.probes})
+    budget = _Budget(run, {probe.name: _moments(run, probe, n_moments) for probe in run.plan.probes})
     yield from part_of(1, CAPTURE_SHARE, LOOK_SHARE, look_around(run, budget.places()))
     yield from part_of(1, CAPTURE_SHARE + LOOK_SHARE, BALL_SHARE, measure_balls(run, budget.balls()))
-    return budget
+    yield Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
+    errors = {item.name: budget.of_object(item.name) for item in run.plan.objects}
+    return _Measured(budget.moments, {name: one for name, one in errors.items() if one is not None})
 
 
 def _moments(run: PreparedRun, probe: Probe, n: int) -> tuple[int, ...]:
@@ -209,10 +200,10 @@ class _Moment:
 class _Budget:
     """The chain of `run`, again and again; `moments` by position. Nothing is rendered here."""
 
-    def __init__(self, run: PreparedRun, phone: SimulatedPhone, moments: Mapping[str, Sequence[int]]) -> None:
-        self.run, self.phone, self.moments = run, phone, moments
-        self.sights = sights_of_path(run, phone)
-        self.as_it_was = SessionParts(self.sights, run.settings.trigger_in_use, phone.link_in_use, run.estimator, {})
+    def __init__(self, run: PreparedRun, moments: Mapping[str, Sequence[int]]) -> None:
+        self.run, self.moments, self.phone = run, moments, phone_of_captures(run)
+        self.sights, link = sights_of_path(run, self.phone), self.phone.link_in_use
+        self.as_it_was = SessionParts(self.sights, run.settings.trigger_in_use, link, run.estimator, {})
         self.lights = {probe.name: self._lights(probe, self.as_it_was) for probe in run.plan.probes}
 
     def _lights(self, probe: Probe, parts: SessionParts) -> dict[int, LightInUse]:
@@ -282,14 +273,16 @@ class _Budget:
 
     def _sessions(self, probe: Probe) -> dict[str, SessionParts]:
         """The session with each part perfect that a session can have."""
-        run, was = self.run, self.as_it_was
-        unclipped = Unclipped(run.estimator, run, self.sights)
+        run, was, place = self.run, self.as_it_was, place_of(self.run, probe)
         from_path = {frame: self._seen_views(frame) for frame in self.look_frames(probe)}
-        from_object = {frame: self._object_views(frame, probe) for frame in self.look_frames(probe)}
+        from_object = {
+            frame: [sight(seen, run.exposure) for seen, _ in kept_views(run, place, self._source(frame, probe))]
+            for frame in self.look_frames(probe)
+        }
         sessions = {
             "field_of_view": replace(was, looks=from_path),
             "coverage": replace(was, looks=from_object),
-            "clipping": replace(was, estimator=unclipped),
+            "clipping": replace(was, estimator=Unclipped(run.estimator, run, self.sights)),
         }
         if self.phone.of_camera:
             perfect = replace(self.phone, of_camera=frozenset())
@@ -303,10 +296,6 @@ class _Budget:
         views = enumerate(kept_views(self.run, FROM_PATH, frame))
         seen = (self.phone.see(one, view_outputs(self.run, FROM_PATH, view))[0] for view, (one, _) in views)
         return [sight(one, self.run.exposure) for one in seen]
-
-    def _object_views(self, frame: int, probe: Probe) -> list[Sight]:
-        views = kept_views(self.run, place_of(self.run, probe), self._source(frame, probe))
-        return [sight(seen, self.run.exposure) for seen, _ in views]
 
     def _corrected(self, light: ArrayF64, ball: SatinBall, views: Sequence[View]) -> dict[str, ArrayF64]:
         """`light` without what sampling and network get wrong on perfect input, and with the light no camera sees."""

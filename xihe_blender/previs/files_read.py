@@ -104,18 +104,16 @@ def _pattern_of_node_path(owner: bpy.types.ID, one: NodePath) -> str:
 def _caches() -> Iterator[str]:
     """What modifiers and baked simulations keep in files."""
     for item in bpy.data.objects:
-        for modifier in map(_AnyModifier, item.modifiers):
-            fluid = modifier.domain_settings
-            folders = [
-                modifier.bake_directory,
-                *(bake.directory for bake in modifier.bakes or () if bake.use_custom_path),
-            ]
+        for modifier in item.modifiers:
+            fluid, file = (getattr(modifier, name, None) for name in ("domain_settings", "filepath"))
+            bakes = [bake for bake in getattr(modifier, "bakes", ()) if bake.use_custom_path]
+            folders = [getattr(modifier, "bake_directory", None), *(bake.directory for bake in bakes)]
             if fluid is not None and fluid.cache_type != "REPLAY":
                 folders.append(fluid.cache_directory)
-            if modifier.type == "OCEAN" and modifier.is_cached:
-                folders.append(modifier.filepath)
-            elif modifier.filepath and modifier.type != "OCEAN":
-                yield pattern_of(item, modifier.filepath)
+            if modifier.type == "OCEAN":
+                folders.append(file if modifier.is_cached else None)
+            elif file:
+                yield pattern_of(item, file)
             yield from (str(Path(pattern_of(item, folder), "**", "*")) for folder in folders if folder)
     for owner, cache in point_caches():
         library = owner.library if cache.use_library_path else None
@@ -124,16 +122,6 @@ def _caches() -> Iterator[str]:
         folder = cache.filepath if cache.use_external else beside
         if folder:
             yield str(Path(_pattern(folder, library), POINTS))
-
-
-class _AnyModifier:
-    """A modifier of any type: what it does not have is None."""
-
-    def __init__(self, modifier: bpy.types.Modifier) -> None:
-        self._modifier = modifier
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._modifier, name, None)
 
 
 def pattern_of(owner: bpy.types.ID, path: str, *, is_sequence: bool = False) -> str:

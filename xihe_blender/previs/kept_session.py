@@ -48,20 +48,18 @@ class KeptSession:
         Nothing is rendered. The same as a run's, to the last bit.
         """
         frames = [one.seen.frame for one in self.frames]
-
-        def say(done: int) -> Progress:
-            return Progress(done, len(frames), f"estimating the light from frame {frames[done]}")
-
-        return shown(self._walk.find_light(places_m), say)
+        return shown(
+            self._walk.find_light(places_m),
+            lambda done: Progress(done, len(frames), f"estimating the light from frame {frames[done]}"),
+        )
 
     def find_light_on_all_cores(self, places_m: Mapping[str, ArrayF64]) -> Job[dict[str, FoundLight]]:
         """A job: as `find_light`, for many positions, with the other cores of this machine."""
         n = len(places_m)
-
-        def say(done: int) -> Progress:
-            return Progress(done, n, f"estimating the light at place {min(done + 1, n)} of {n}")
-
-        return shown(find_light_on_all_cores(self._walk, places_m), say)
+        return shown(
+            find_light_on_all_cores(self._walk, places_m),
+            lambda done: Progress(done, n, f"estimating the light at place {min(done + 1, n)} of {n}"),
+        )
 
 
 def open_kept_session(folder: Path) -> Job[KeptSession]:

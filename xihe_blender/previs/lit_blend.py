@@ -12,15 +12,8 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.apply import key_suns
-from xihe_blender.apply.datablocks import LIT_SCENE, OF_RUN, ROOM, RUN_BESIDE, applied_worlds
-from xihe_blender.apply.lit_scene import (
-    bring_lamps,
-    leave_compositor,
-    remove_lit_collections,
-    remove_lit_scene,
-    set_up_lit_scene,
-    show_only_in,
-)
+from xihe_blender.apply.datablocks import LIT_SCENE, OF_RUN, ROOM, RUN_BESIDE, applied_worlds, remove_lit_collections
+from xihe_blender.apply.lit_scene import bring_lamps, leave_compositor, remove_lit_scene, set_up_lit_scene, show_only_in
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
     catch_shadows_of,

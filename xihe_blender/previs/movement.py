@@ -11,8 +11,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.previs.plan import PrevisPlan
-from xihe_blender.scene.estimation_positions import world_box_corners
-from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.estimation_positions import box_corners_m
 from xihenet.controller import MOVED_M
 from xihenet.records import ArrayF64
 
@@ -60,6 +59,6 @@ def _axes(item: bpy.types.Object) -> ArrayF64:
 
 def _box(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph, axes: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
     """(3,) the low corner and the size of the object's box along the columns of `axes`, in metres."""
-    corners_m = world_box_corners(item, depsgraph) @ axes * metres_per_unit(depsgraph.scene)
+    corners_m = box_corners_m(item, depsgraph) @ axes
     low_m: ArrayF64 = corners_m.min(axis=0)
     return low_m, corners_m.max(axis=0) - low_m

@@ -22,11 +22,12 @@ from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanne
 from xihe_blender.io.exr import read_radiance, write_radiance
 from xihe_blender.io.json_records import as_json, read_record
 from xihe_blender.io.kept_files import kept_json, kept_record, read_kept
-from xihe_blender.io.outputs import copy_whole, finite_or_none, write_json, write_picture
+from xihe_blender.io.outputs import RunOutputs, copy_whole, finite_or_none, write_json, write_picture
 from xihe_blender.io.run_results import CaptureRender, ProbeRender, Rendering
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.simulated_phone import CaptureNeeds
 from xihe_blender.scene.units import seconds_of
 from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame, save_frame
@@ -59,21 +60,21 @@ def kept_renders(run: PreparedRun, frame: int) -> FrameRenders | None:
     return FrameRenders(load_frame(run.outputs.capture(frame)), references, render_s)
 
 
-def _is_captured(run: PreparedRun, frame: int) -> bool:
+def is_captured(outputs: RunOutputs, needs: CaptureNeeds, frame: int) -> bool:
     """Whether each piece of a capture can be read."""
-    if kept_json(run.outputs.times(frame), lambda content: float(content["render_s"])) is None:
-        return False
-    pieces: list[tuple[Path, Callable[[Path], object]]] = [(run.outputs.capture(frame), load_frame)]
-    pieces += _beside_capture(run, frame)
+    pieces: list[tuple[Path, Callable[[Path], object]]] = [(outputs.capture(frame), load_frame)]
+    pieces += _beside_capture(outputs, needs, frame)
     return all(read_kept(path, read) is not None for path, read in pieces)
 
 
-def _beside_capture(run: PreparedRun, frame: int) -> Iterator[tuple[Path, Callable[[Path], object]]]:
+def _beside_capture(
+    outputs: RunOutputs, needs: CaptureNeeds, frame: int
+) -> Iterator[tuple[Path, Callable[[Path], object]]]:
     """What is kept beside a capture for the phone, and how it is read."""
-    if run.needs.radiance:
-        yield run.outputs.radiance("captured", frame), read_radiance
-    if run.needs.surfaces:
-        yield run.outputs.surfaces(frame), load_surfaces
+    if needs.radiance:
+        yield outputs.radiance("captured", frame), read_radiance
+    if needs.surfaces:
+        yield outputs.surfaces(frame), load_surfaces
 
 
 def _capture(run: PreparedRun, frame: int, scanner: CyclesScanner) -> float:
@@ -87,7 +88,8 @@ def _capture(run: PreparedRun, frame: int, scanner: CyclesScanner) -> float:
         if run.needs.surfaces:
             save_surfaces(outputs.surfaces(frame), surfaces_in(rendered.passes, run.survey.frames[frame].roughness))
     else:
-        for (kept, _), (path, _) in zip(_beside_capture(run, source), _beside_capture(run, frame), strict=True):
+        beside = (_beside_capture(outputs, run.needs, one) for one in (source, frame))
+        for (kept, _), (path, _) in zip(*beside, strict=True):
             copy_whole(kept, path)
         captured = replace(load_frame(outputs.capture(source)), time_s=seconds_of(scanner.scene, frame), frame=frame)
         render_s = 0.0
@@ -172,7 +174,12 @@ def render_path(run: PreparedRun) -> Job[dict[int, float]]:
 def render_captures(run: PreparedRun) -> Job[dict[int, float]]:
     """A job: as `render_path`, the captures alone."""
     work_s: dict[int, float] = {}
-    missing = [frame for frame in run.plan.frames if frame in run.needs.captured and not _is_captured(run, frame)]
+
+    def is_whole(frame: int) -> bool:
+        times = kept_json(run.outputs.times(frame), lambda content: float(content["render_s"]))
+        return times is not None and is_captured(run.outputs, run.needs, frame)
+
+    missing = [frame for frame in run.plan.frames if frame in run.needs.captured and not is_whole(frame)]
     if not missing:
         return work_s
     with open_scanner(run.scene, run.capture) as scanner:

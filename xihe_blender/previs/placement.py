@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -211,7 +210,9 @@ def _verified(run: PreparedRun, mapped: MappedPlaces, n: int) -> Job[tuple[tuple
     chosen = evenly_chosen(ranked, n) if n and ranked else []
     if not chosen:
         return mapped.places, None
-    errors = yield from _true_errors(run, [(places[k], mapped.lights[k]) for k in chosen])
+    # Against a light probe in the last frame; probes are kept.
+    truths = yield from measured_lights(run, [places[k].position_m for k in chosen])
+    errors = [shc_rmse(mapped.lights[k], truth) for k, truth in zip(chosen, truths, strict=True)]
     for k, error in zip(chosen, errors, strict=True):
         places[k] = replace(places[k], true_error=error)
     expected = np.array([places[k].expected_error for k in chosen])
@@ -229,9 +230,3 @@ def _verdict(expected: ArrayF64, true: ArrayF64, rng: np.random.Generator) -> Ve
         mean_error_of_best=float(true[:n_ends].mean()) if n_ends else None,
         mean_error_of_worst=float(true[-n_ends:].mean()) if n_ends else None,
     )
-
-
-def _true_errors(run: PreparedRun, places: Sequence[tuple[Place, ArrayF64]]) -> Job[list[float]]:
-    """SHC RMSE of each light against a light probe rendered there in the last frame; probes are kept."""
-    truths = yield from measured_lights(run, [place.position_m for place, _ in places])
-    return [shc_rmse(sh, truth) for (_, sh), truth in zip(places, truths, strict=True)]

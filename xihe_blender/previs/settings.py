@@ -241,16 +241,17 @@ def load_estimators(settings: PrevisSettings) -> list[Estimator]:
     """The estimator of a run, then the others; UserError if a package or a file of weights is missing."""
     loaded = []
     for name in (settings.estimator, *settings.others):
-        is_elsewhere = settings.backend is not None and name == settings.estimator
+        option = f"estimator {name}" if name == settings.estimator else f"others {name}"
         try:
-            loaded.append(
-                _at_backend(settings) if is_elsewhere else estimators.load(name, settings.n_anchors, settings.target)
-            )
+            if settings.backend is not None and name == settings.estimator:
+                option = "backend"
+                backend = backend_at(settings.backend, name, settings.n_anchors, settings.target)
+                # With all that a session asks of one of its own: it cannot estimate batches.
+                loaded.append(cast(Estimator, backend))
+            else:
+                loaded.append(estimators.load(name, settings.n_anchors, settings.target))
         except (ImportError, ValueError) as error:
-            option = "estimator" if name == settings.estimator else "others"
-            if is_elsewhere:
-                raise UserError(f"--backend: {error}") from error
-            raise UserError(f"--{option} {name}: {error}") from error
+            raise UserError(f"--{option}: {error}") from error
     return loaded
 
 
@@ -259,9 +260,3 @@ def close_backends(loaded: Sequence[object]) -> None:
     for one in loaded:
         if isinstance(one, EdgeBackend):
             one.close()
-
-
-def _at_backend(settings: PrevisSettings) -> Estimator:
-    """The edge service's estimator, with all that a session asks of one of its own: it cannot estimate batches."""
-    assert settings.backend is not None
-    return cast(Estimator, backend_at(settings.backend, settings.estimator, settings.n_anchors, settings.target))

@@ -38,8 +38,8 @@ def estimation_positions(object: bpy.types.Object, depsgraph: bpy.types.Depsgrap
     finite box, or more than MAX_POSITIONS.
     """
     depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
-    corners = world_box_corners(object, depsgraph) * metres_per_unit(depsgraph.scene)
-    low_m, high_m = corners.min(axis=0), corners.max(axis=0)
+    corners_m = box_corners_m(object, depsgraph)
+    low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
     if not np.isfinite([low_m, high_m]).all():
         raise UserError(
             f"virtual object {object.name!r} has no finite position: check its scale, its vertices and its constraints"
@@ -76,8 +76,8 @@ def box_cell_centres(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> Arr
     return centres
 
 
-def world_box_corners(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
-    """Box corners (8 n, 3), in Blender units, of all that `object` puts into the render; its origin if nothing."""
+def box_corners_m(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
+    """Box corners (8 n, 3), world, metres, of all that `object` puts into the render; its origin if nothing."""
     instances = (instance for instance in depsgraph.object_instances if _belongs_to(instance, object))
     boxes = [_transformed(instance.object.bound_box, instance.matrix_world) for instance in instances]
     evaluated = object.evaluated_get(depsgraph)
@@ -85,7 +85,8 @@ def world_box_corners(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) 
         # Not among the instances: hidden in this view layer, which does not move it.
         corners = _corners_of_curve(evaluated) if object.type == "CURVE" else evaluated.bound_box
         boxes = [_transformed(corners, evaluated.matrix_world)]
-    return np.concatenate(boxes) if boxes else np.array([evaluated.matrix_world.translation], np.float64)
+    corners = np.concatenate(boxes) if boxes else np.array([evaluated.matrix_world.translation], np.float64)
+    return corners * metres_per_unit(depsgraph.scene)
 
 
 def _belongs_to(instance: Any, object: bpy.types.Object) -> bool:

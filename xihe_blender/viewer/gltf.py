@@ -14,7 +14,7 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.scene.colour_management import in_rec709, is_rec709
-from xihe_blender.scene.estimation_positions import world_box_corners
+from xihe_blender.scene.estimation_positions import box_corners_m
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.viewer.page import TURNED, ViewedObject
@@ -49,7 +49,7 @@ def viewed_objects(
             f"{MOST_TRIANGLES}: add a Decimate modifier to it, and name the file by --from"
         )
     shapes = {item.name: _exported(scene, item) for item in objects}
-    boxes = {item.name: world_box_corners(item, depsgraph) for item in objects}
+    boxes_m = {item.name: box_corners_m(item, depsgraph) for item in objects}
     from_start = {item.name: _inverse(_place(item, scene)) for item in objects}
     moves: dict[str, list[ArrayF64]] = {item.name: [] for item in objects}
     for frame in frames:
@@ -57,10 +57,10 @@ def viewed_objects(
         for item in objects:
             moves[item.name].append(_y_up(_place(item, scene) @ from_start[item.name], metres))
     viewed = []
-    for name, corners in boxes.items():
-        middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
-        radius = float(np.linalg.norm(corners.max(axis=0) - middle)) * metres
-        viewed.append(ViewedObject(name, shapes[name], moves[name], Y_UP @ middle, radius))
+    for name, corners_m in boxes_m.items():
+        middle_m = (corners_m.min(axis=0) + corners_m.max(axis=0)) / 2
+        radius = float(np.linalg.norm(corners_m.max(axis=0) - middle_m))
+        viewed.append(ViewedObject(name, shapes[name], moves[name], Y_UP @ middle_m / metres, radius))
     return viewed
 
 
