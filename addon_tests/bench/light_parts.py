@@ -45,8 +45,8 @@ from xihe_blender.previs.run_chain import WalkedPath, walk_path
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.estimation_positions import box_corners_m
-from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
+from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.io.recording import load_frame

@@ -241,8 +241,6 @@ def test_the_light_of_the_results_is_the_one_that_the_run_put_on_the_timeline(sh
             change = max((one for one in results.lights[name] if one.frame <= frame), key=lambda one: one.frame)
             np.testing.assert_array_equal(light_in_use(results, name, frame), change.sh)
             np.testing.assert_allclose(rest_of(light_of_change(change)), on_timeline, rtol=1e-6, atol=1e-6)
-    with pytest.raises(ValueError, match=r"that the run lit \(Ball, Board\), got 'Chair'"):
-        light_in_use(results, "Chair", 1)
 
 
 def test_removing_leaves_the_file_as_before_the_run_and_applying_again_gives_what_it_left(done, shown):
@@ -390,8 +388,6 @@ def test_a_wipe_never_leaves_the_picture(wipe):
     row = wiped(estimate, truth, wipe)[0, :, 0].tolist()
     line = [1.0] if 0 < place < 5 else []
     assert row == [0.0] * place + line + [0.5] * (5 - place - len(line))
-    with pytest.raises(ValueError, match="two pictures of one shape"):
-        wiped(estimate, truth[:1], wipe)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from addon_runs import registered_addon, walk_for_the_panel
 from scene_snapshot import nothing_changes
 from tiny_scenes import look_at, room_with_a_virtual_sphere
 
-from xihe_blender.addon.calibration import calibration_file, calibration_line
+from xihe_blender.addon.planning_operators import calibration_file, calibration_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.calibrate import Calibration, calibrate, format_calibration, save_calibration

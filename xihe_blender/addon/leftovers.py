@@ -72,8 +72,7 @@ def _show_run_beside() -> None:
     if lit is None or RUN_BESIDE not in lit:
         return
     folder = bpy.path.abspath(lit.pop(RUN_BESIDE))  # The file may be saved elsewhere.
-    if OF_RUN in lit:  # Not in those that earlier versions saved.
-        lit[OF_RUN] = last_part(folder)
+    lit[OF_RUN] = last_part(folder)
     for scene in filter(None, (lit, lit[ROOM])):
         scene.xihe.run_folder, scene.xihe.run_made_of, scene.xihe.begun_run = folder, "", ""
     room, run = lit[ROOM], last_run(folder)

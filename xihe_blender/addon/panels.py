@@ -21,10 +21,9 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from xihe_blender.addon.background_run import BackgroundRun
-from xihe_blender.addon.calibration import calibration_line
 from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.addon.look_operators import advice_for
-from xihe_blender.addon.planning_operators import known_times
+from xihe_blender.addon.planning_operators import calibration_line, known_times
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
 from xihe_blender.apply.datablocks import moved_positions

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import bpy
 
 from xihe_blender.addon import polls
-from xihe_blender.addon.calibration import calibration_file
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob, edge_server_asked
+from xihe_blender.addon.preferences import chosen_folder, own_folder
 from xihe_blender.jobs import Job
 from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.io.json_files import read_json
 
 OF_TIME = (
     "estimator",
@@ -112,6 +114,22 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
         state.run_estimate, state.budget_estimate = map(format_run_time, (result.total_s, result.budget_s))
         state.timed = self.timed
         return {"FINISHED"}
+
+
+def calibration_file() -> Path:
+    """Where the costs of the presets are remembered, for all files: in the user's Runs Folder, or the extension's own.
+
+    Not in Blender's preferences: those are saved when the user says so.
+    """
+    return (chosen_folder() or own_folder()) / "calibration.json"
+
+
+def calibration_line() -> str:
+    """The costs in one sentence; empty before they were measured. Read at every redraw: a few hundred bytes."""
+    try:
+        return str(read_json(calibration_file())["said"])
+    except (OSError, KeyError, TypeError, ValueError):
+        return ""
 
 
 class XIHE_OT_calibrate(Measuring, bpy.types.Operator):

@@ -194,17 +194,12 @@ def _is_simulated(item: bpy.types.Object) -> bool:
 
 def _may_hide(item: bpy.types.Object) -> bool:
     """Whether it may have a surface: a mesh of edges or points alone has none, nor has one of fog."""
-    materials = [slot.material for slot in item.material_slots]
-    if materials and all(map(_is_fog, materials)):
+    looks = [material_shading(slot.material).interactions & ~Interaction.DISPLACEMENT for slot in item.material_slots]
+    if looks and all(look == Interaction.VOLUME for look in looks):
         return False
     if item.type == "MESH":
         return bool(item.data.polygons or item.modifiers)
     return item.type in _SOLID or item.instance_type == "COLLECTION"
-
-
-def _is_fog(material: bpy.types.Material | None) -> bool:
-    kinds = material_shading(material).interactions & ~Interaction.DISPLACEMENT
-    return kinds == Interaction.VOLUME
 
 
 def _draw_no_lines(copied: bpy.types.Object, tidied: dict[bpy.types.ID, bpy.types.ID]) -> None:

@@ -15,7 +15,7 @@ from mathutils import Matrix
 
 from xihe_blender.capture.phone_surfaces import ask_for_surfaces
 from xihe_blender.capture.render import RenderSettings
-from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner
+from xihe_blender.capture.scanner import CyclesScanner, first_layer, open_scanner, own_camera
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import pixel_rays
 from xihenet.records import ArrayF32, ArrayF64, Intrinsics, RgbdFrame
@@ -65,23 +65,14 @@ def open_all_around(
     `settings` are those of the phone's captures; see SMALLEST_SIDE_PX.
     """
     side = max(SMALLEST_SIDE_PX, min(settings.size))
-    data = bpy.data.cameras.new(NAME)
-    try:
-        with open_scanner(scene, replace(settings, size=(side, side))) as scanner:
-            working = scanner.scene
-            metres = metres_per_unit(working)
-            data.angle, data.clip_start, data.clip_end = np.pi / 2, CLIP_START_M / metres, CLIP_END_M / metres
-            camera = bpy.data.objects.new(NAME, data)
-            working.collection.objects.link(camera)
-            # Markers that switch the camera would take its place.
-            working.timeline_markers.clear()
-            working.camera, scanner.exposure = camera, exposure
-            if with_surfaces:
-                ask_for_surfaces(working.view_layers[0])
-            yield AllAroundScanner(scanner, camera)
-    finally:
-        # With its data the object goes too.
-        bpy.data.cameras.remove(data)
+    with open_scanner(scene, replace(settings, size=(side, side))) as scanner, contextlib.ExitStack() as stack:
+        camera, metres = own_camera(stack, scanner.scene, NAME), metres_per_unit(scene)
+        camera.data.angle = np.pi / 2
+        camera.data.clip_start, camera.data.clip_end = CLIP_START_M / metres, CLIP_END_M / metres
+        scanner.exposure = exposure
+        if with_surfaces:
+            ask_for_surfaces(scanner.scene.view_layers[0])
+        yield AllAroundScanner(scanner, camera)
 
 
 def solid_angles(intrinsics: Intrinsics) -> ArrayF64:

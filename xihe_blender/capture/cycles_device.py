@@ -55,7 +55,9 @@ def use_device(kind: str) -> None:
         raise UserError(CYCLES_IS_OFF)
     if cycles.compute_device_type == kind and cycles.has_active_device():
         return
-    found = _kinds_with_devices(cycles)
+    cycles.refresh_devices()
+    kinds = [known for known, *_ in cycles.get_device_types(bpy.context) if known != "NONE"]
+    found = [CPU, *(known for known in kinds if any(d.type == known for d in cycles.get_devices_for_type(known)))]
     if kind not in found:
         raise UserError(
             f"--cycles-device or {DEVICE_VARIABLE}: Cycles finds no device of the kind {kind!r} on this machine: "
@@ -86,9 +88,3 @@ def _preferences() -> Any:
     """Of Cycles; None where the user has turned it off."""
     addon = bpy.context.preferences.addons.get("cycles")
     return None if addon is None else addon.preferences
-
-
-def _kinds_with_devices(cycles: Any) -> list[str]:
-    cycles.refresh_devices()
-    kinds = [kind for kind, *_ in cycles.get_device_types(bpy.context) if kind != "NONE"]
-    return [CPU, *(kind for kind in kinds if any(d.type == kind for d in cycles.get_devices_for_type(kind)))]

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.capture.light_links import joined_light_links
 from xihe_blender.capture.render import MAX_SEED, Rendered, RenderSettings, render_passes, stacked_rgb
-from xihe_blender.capture.scanner import working_room
+from xihe_blender.capture.scanner import own_camera, working_room
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.state import show_to_camera_alone
@@ -364,15 +364,16 @@ def open_reference_probe(
         (settings.size, settings.size), 1, settings.seed, settings.denoise, settings.light_transport
     )
     with working_room(scene, NAME, rendering) as working, contextlib.ExitStack() as stack:
-        # Markers that switch the camera would take the probe's place.
-        working.timeline_markers.clear()
         layer = working.view_layers[0]
         layer.use_pass_emit = layer.use_pass_environment = True
         has_volumes = working.cycles.volume_bounces > 0
         layer.cycles.use_pass_volume_direct = layer.cycles.use_pass_volume_indirect = has_volumes
         # A box: with any wider filter pixels on the rim look past the ball more often than they should.
         working.cycles.pixel_filter_type = "BOX"
-        working.camera = _mirror_ball_camera(stack)
+        seen = own_camera(stack, working, NAME).data
+        seen.type = "PANO"
+        panorama: Any = seen if hasattr(seen, "panorama_type") else seen.cycles
+        panorama.panorama_type = "MIRRORBALL"  # It sees the whole sphere.
         balls = _put_balls(stack, working, places)
         for ball, item in zip(balls, objects or (), strict=False):
             if item is not None:
@@ -393,17 +394,6 @@ def _take_samples(scene: bpy.types.Scene, n: int) -> None:
     if hasattr(cycles, "use_sample_subset"):  # from 4.4 on
         cycles.use_sample_subset, cycles.sample_subset_length = True, n
         cycles.samples = max(SEQUENCE_LENGTH, 1 + n)
-
-
-def _mirror_ball_camera(stack: contextlib.ExitStack) -> bpy.types.Object:
-    """A camera that sees the whole sphere; gone with `stack`."""
-    data = bpy.data.cameras.new(NAME)
-    # With its data the object goes too. It is in no collection: those are the user's, and Cycles needs none.
-    stack.callback(bpy.data.cameras.remove, data)
-    data.type = "PANO"
-    panorama: Any = data if hasattr(data, "panorama_type") else data.cycles
-    panorama.panorama_type = "MIRRORBALL"
-    return bpy.data.objects.new(NAME, data)
 
 
 def _put_balls(stack: contextlib.ExitStack, scene: bpy.types.Scene, positions_m: ArrayF64) -> list[bpy.types.Object]:

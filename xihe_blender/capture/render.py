@@ -134,7 +134,9 @@ def set_up_cycles(scene: bpy.types.Scene, settings: RenderSettings) -> None:
         layer.material_override = None
         layer.use_pass_combined = layer.use_pass_z = True
     apply_effects(scene, settings.light_transport)
-    set_up_memory_exr(render.image_settings)
+    # Without compression, the fastest to write, and lossless.
+    choose_format(render.image_settings, "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER")
+    render.image_settings.color_depth, render.image_settings.exr_codec = "32", "NONE"
 
 
 def apply_effects(scene: bpy.types.Scene, light_transport: Iterable[tuple[str, bool | int]]) -> None:
@@ -150,13 +152,6 @@ def can_denoise(scene: bpy.types.Scene) -> bool:
     except TypeError:
         return False
     return True
-
-
-def set_up_memory_exr(image_settings: bpy.types.ImageFormatSettings) -> None:
-    """32-bit multi-layer EXR without compression, the fastest to write and lossless."""
-    choose_format(image_settings, "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER")
-    image_settings.color_depth = "32"
-    image_settings.exr_codec = "NONE"
 
 
 def choose_format(image_settings: bpy.types.ImageFormatSettings, media_type: str, file_format: str) -> None:

@@ -96,6 +96,16 @@ def working_room(scene: bpy.types.Scene, name: str, settings: RenderSettings) ->
         yield working
 
 
+def own_camera(stack: contextlib.ExitStack, working: bpy.types.Scene, name: str) -> bpy.types.Object:
+    """A camera that the scene `working` alone has, and that no marker switches; gone with `stack`."""
+    data = bpy.data.cameras.new(name)
+    # With its data the object goes too. It is in no collection: those are the user's, and Cycles needs none.
+    stack.callback(bpy.data.cameras.remove, data)
+    working.timeline_markers.clear()
+    working.camera = bpy.data.objects.new(name, data)
+    return working.camera
+
+
 def first_layer(rendered: Rendered) -> tuple[ArrayF32, ArrayF32]:
     """Radiance (H, W, 3) and plane depth (H, W) of a render with one view layer."""
     return stacked_rgb(rendered.passes), rendered.passes["Depth.Z"]

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.capture.render import RenderSettings, render_passes
-from xihe_blender.capture.scanner import first_layer, working_room
+from xihe_blender.capture.scanner import first_layer, own_camera, working_room
 from xihe_blender.scene.sphere_rig import RIG_LOOKS, rig_material, sphere_mesh
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.light.light_picture import sphere_mask
@@ -64,7 +64,6 @@ def open_three_spheres(
     Other `looks`, inputs of the shader by name, take the place of the three, in their order; all are white.
     """
     with working_room(scene, NAME, replace(settings, size=(size, size))) as working, contextlib.ExitStack() as stack:
-        working.timeline_markers.clear()  # Those that switch the camera would take this one's place.
         radius = RADIUS_M / metres_per_unit(scene)
         mesh = sphere_mesh(NAME, radius, 128, 64)
         stack.callback(bpy.data.meshes.remove, mesh)
@@ -73,13 +72,9 @@ def open_three_spheres(
             materials.append(rig_material(f"{name} Seen", {**look, "Base Color": (1.0, 1.0, 1.0, 1.0)}))
             stack.callback(bpy.data.materials.remove, materials[-1])
         ball = bpy.data.objects.new(NAME, mesh)
-        camera_data = bpy.data.cameras.new(NAME)
-        stack.callback(bpy.data.cameras.remove, camera_data)
-        camera = bpy.data.objects.new(NAME, camera_data)
-        camera_data.type, camera_data.ortho_scale = "ORTHO", 2 * radius
-        camera_data.clip_start, camera_data.clip_end = 0.5 * radius, 4 * radius
+        working.collection.objects.link(ball)
+        camera = own_camera(stack, working, NAME)
+        camera.data.type, camera.data.ortho_scale = "ORTHO", 2 * radius
+        camera.data.clip_start, camera.data.clip_end = 0.5 * radius, 4 * radius
         camera.rotation_euler = (np.pi / 2, 0, 0)
-        for item in (ball, camera):
-            working.collection.objects.link(item)
-        working.camera = camera
         yield ThreeSpheres(working, ball, materials)

@@ -96,10 +96,7 @@ def wiped(estimate: ArrayF32, truth: ArrayF32, wipe: float) -> ArrayF32:
     """(H, W, 3) `estimate` on the left, `truth` on the right, and a white line of one pixel between them.
 
     `wipe` is the line's place, 0 at the left edge, where all is truth, and 1 at the right; neither has a line.
-    ValueError for pictures of different shapes.
     """
-    if estimate.shape != truth.shape:
-        raise ValueError(f"expected two pictures of one shape, got {estimate.shape} and {truth.shape}")
     width = truth.shape[1]
     place = round(min(max(wipe, 0.0), 1.0) * width)
     picture: ArrayF32 = truth.copy()
@@ -134,11 +131,19 @@ def composed(captured: ArrayF32, truth: ArrayF32, estimate: ArrayF32, *, wipe: f
 def sequence(
     name: str, pictures: Sequence[Path], size: tuple[int, int], fps: float
 ) -> Iterator[tuple[bpy.types.Scene, Any, Any]]:
-    """A scene of that name whose sequencer plays `pictures`, all its strips, and theirs; then it is gone."""
+    """A scene of that name whose sequencer plays `pictures`, all its strips, and theirs; then it is gone.
+
+    It writes what is shown as it is, in sRGB with no look, of `size` (width, height), `fps` pictures a second.
+    """
     scene = bpy.data.scenes.new(name)
     try:
         scene[WORKING] = True
-        set_up_output(scene, size, fps)
+        render = scene.render
+        render.resolution_x, render.resolution_y = size
+        render.resolution_percentage = 100
+        render.fps = max(1, round(fps))
+        render.fps_base = render.fps / fps
+        show_as_it_is(scene)
         scene.frame_start, scene.frame_end = 1, len(pictures)
         editor = scene.sequence_editor_create()
         strips = editor.strips if hasattr(editor, "strips") else editor.sequences  # Blender 4.3
@@ -148,16 +153,6 @@ def sequence(
         yield scene, strips, strip
     finally:
         bpy.data.scenes.remove(scene)
-
-
-def set_up_output(scene: bpy.types.Scene, size: tuple[int, int], fps: float) -> None:
-    """Make `scene` write what its sequencer shows as it is, in sRGB with no look, `fps` pictures a second."""
-    render = scene.render
-    render.resolution_x, render.resolution_y = size
-    render.resolution_percentage = 100
-    render.fps = max(1, round(fps))
-    render.fps_base = render.fps / fps
-    show_as_it_is(scene)
 
 
 def add_labels(strips: Any, labels: Sequence[str], size: tuple[int, int], n_frames: int) -> None:

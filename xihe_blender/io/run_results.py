@@ -409,8 +409,8 @@ class RunResults:
 
     @property
     def captured_frames(self) -> list[FrameResult]:
-        """Those that the phone took in, of results from before it took in more than active ones as well."""
-        return [frame for frame in self.frames if frame.captured or frame.active]
+        """Those that the phone took in."""
+        return [frame for frame in self.frames if frame.captured]
 
     @property
     def compared_frames(self) -> dict[int, ComparedFrame]:

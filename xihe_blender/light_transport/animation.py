@@ -92,12 +92,12 @@ def placement(instances: Iterable[Any]) -> tuple[int, int]:
     return total[0], total[1]
 
 
-def values_of(struct: Any) -> Iterator[tuple[Any, ...]]:
-    """(name, value) of all that `struct` holds, in the order in which Blender lists it; values are plain Python."""
-    yield from _walk(struct, set())
+def values_of(struct: Any, entered: set[tuple[int, str]] | None = None) -> Iterator[tuple[Any, ...]]:
+    """(name, value) of all that `struct` holds, in the order in which Blender lists it; values are plain Python.
 
-
-def _walk(struct: Any, entered: set[tuple[int, str]]) -> Iterator[tuple[Any, ...]]:
+    Without what has been `entered` before.
+    """
+    entered = set() if entered is None else entered
     # The first member of a struct has the struct's own address.
     key = (struct.as_pointer(), struct.bl_rna.identifier)
     if key in entered:
@@ -124,7 +124,7 @@ def _property(name: str, kind: str, value: Any, entered: set[tuple[int, str]]) -
             yield name, item.name_full
         else:
             yield (name,)
-            yield from _walk(item, entered)
+            yield from values_of(item, entered)
 
 
 def _plain(value: Any) -> Any:

@@ -171,9 +171,10 @@ class TransportSurveyor:
                 if not all(_is_visible(instance, (ray,)) for ray in RAYS):
                     self.leaky.add(_in_words(item, material))
         if instance.show_particles and is_seen:
-            for settings in _hair_settings(item):
-                self._note(self.found.strands, item.name)
-                self._surface(item, _slot_material(item, settings.material - 1), is_seen)
+            for settings in (system.settings for system in item.particle_systems):
+                if settings.type == "HAIR" and settings.render_type == "PATH":
+                    self._note(self.found.strands, item.name)
+                    self._surface(item, _slot_material(item, settings.material - 1), is_seen)
         return emits
 
     def _surface(self, item: bpy.types.Object, material: bpy.types.Material | None, is_seen: bool) -> int:
@@ -244,8 +245,3 @@ def _slot_material(item: bpy.types.Object, slot: int) -> bpy.types.Material | No
     """The material of a slot; an index beyond the last means the last, as in Cycles."""
     slots = item.material_slots
     return slots[min(max(slot, 0), len(slots) - 1)].material if len(slots) else None
-
-
-def _hair_settings(item: bpy.types.Object) -> list[bpy.types.ParticleSettings]:
-    settings = [system.settings for system in item.particle_systems]
-    return [one for one in settings if one.type == "HAIR" and one.render_type == "PATH"]

@@ -122,10 +122,6 @@ class Unclipped(Estimator):
         self.points = {one.seen.frame: with_radiance(one.points, pictures[one.seen.frame], exposure) for one in sights}
         self.frames = {one.seen.frame: one.seen for one in sights}
         self.ratio = exposure / run.exposure
-        self.start()
-
-    def start(self) -> None:
-        """Forget what was seen: another position comes."""
         self.bright, self.position_m = UnitSphereCloud.empty(self.n_anchors), np.full(3, np.nan)
 
     def see(self, frame: int, position_m: ArrayF64) -> None:

@@ -61,17 +61,16 @@ def file_of(block: Any) -> str | None:
 def _blocks() -> Iterator[str]:
     """Libraries, pictures and films, volumes, fonts, and files of meshes that move (Alembic, USD)."""
     shown = (*_shown(bpy.data.images), *_shown(bpy.data.movieclips))
-    others = (*_libraries(), *bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts)
+    # From Blender 5.0 on what is linked may be packed: of some libraries all is in the .blend itself.
+    libraries = [
+        library
+        for library in bpy.data.libraries
+        if not all(getattr(block, "is_linked_packed", False) for block in library.users_id)
+    ]
+    others = (*libraries, *bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts)
     yield from filter(None, map(file_of, (*shown, *others)))
     for cache in bpy.data.cache_files:
         yield from (pattern_of(cache, layer.filepath) for layer in cache.layers)
-
-
-def _libraries() -> Iterator[bpy.types.Library]:
-    """Those of which something is not in the .blend itself: from Blender 5.0 on what is linked may be packed."""
-    for library in bpy.data.libraries:
-        if not all(getattr(block, "is_linked_packed", False) for block in library.users_id):
-            yield library
 
 
 def _shown(blocks: Any) -> Iterator[Any]:

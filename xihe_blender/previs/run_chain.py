@@ -174,17 +174,11 @@ class _Walk:
                 lights["truth"][item.name] = self.truth.object_light(places, ambient_sh)
         return lights
 
-    def _other_lights(self, name: str, time_s: float, truth: ArrayF64 | None) -> dict[str, OtherLight]:
-        lights = {other: self.session.light(name, time_s, other) for other in self.run.settings.others}
-        return {
-            other: OtherLight(sh=as_coefficients(light), shc_rmse=_error(light, truth))
-            for other, light in lights.items()
-        }
-
     def _probe_result(self, probe: Probe, report: StepReport, request: Request | None, seen: RgbdFrame) -> ProbeResult:
         """What one step did at one position, and the light in use there after it."""
         reference, time_s = self.truth.measured(probe.name), seen.time_s
         light = self.session.light(probe.name, time_s)
+        others = {other: self.session.light(probe.name, time_s, other) for other in self.run.settings.others}
         truth = None if reference is None else reference.of(self.run.settings.target)
         arrival_frame, latency_ms = _arrival(request, self.run.phone.times_s)
         return ProbeResult(
@@ -213,7 +207,10 @@ class _Walk:
             shc_rmse=_error(light, truth),
             expected_error=finite_or_none(self.session.expected_error(probe.name, time_s)),
             ambient_shc_rmse=_error(self.session.ambient_sh, truth),
-            others=self._other_lights(probe.name, time_s, truth),
+            others={
+                name: OtherLight(sh=as_coefficients(other), shc_rmse=_error(other, truth))
+                for name, other in others.items()
+            },
             share_above_white=None if reference is None else share_above_white(reference.ldr, reference.hdr),
         )
 

@@ -316,12 +316,11 @@ VOLUME_WEIGHTS = {
 
 def _volume(socket: Any) -> Shading:
     """VOLUME where something is linked that can absorb, scatter or glow."""
-    return Shading(A.VOLUME) if any(_fills(out.node, groups) for out, groups, _ in _shaders(socket)) else NOTHING
-
-
-def _fills(node: Any, groups: Groups) -> bool:
-    weights = VOLUME_WEIGHTS.get(node.type)
-    return weights is None or any(may_be_positive(node, name, groups) for name in weights)
+    for out, groups, _ in _shaders(socket):
+        weights = VOLUME_WEIGHTS.get(out.node.type)
+        if weights is None or any(may_be_positive(out.node, name, groups) for name in weights):
+            return Shading(A.VOLUME)
+    return NOTHING
 
 
 def _displaces(socket: Any) -> bool:

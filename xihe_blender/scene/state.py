@@ -112,7 +112,11 @@ def put_back(values: dict[tuple[bpy.types.ID, str], Any]) -> None:
     for (owner, path), value in values.items():
         with contextlib.suppress(AttributeError, KeyError, ReferenceError, ValueError):
             if _value(owner, path) != value:
-                _set_value(owner, path, value)
+                struct, key = _held(owner, path)
+                if key is None:
+                    setattr(struct, path.rpartition(".")[2], value)
+                else:
+                    struct[key] = value
 
 
 def animated_paths(owner: bpy.types.ID) -> set[str]:
@@ -153,14 +157,6 @@ def _value(owner: bpy.types.ID, path: str) -> Any:
     # A custom property read by its path would come out rounded to single precision.
     value = owner.path_resolve(path) if key is None else struct[key]
     return value if isinstance(value, str) or not hasattr(value, "__len__") else tuple(value)
-
-
-def _set_value(owner: bpy.types.ID, path: str, value: Any) -> None:
-    struct, key = _held(owner, path)
-    if key is None:
-        setattr(struct, path.rpartition(".")[2], value)
-    else:
-        struct[key] = value
 
 
 def _held(owner: bpy.types.ID, path: str) -> tuple[Any, str | None]:

@@ -82,7 +82,8 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     _check_are_own(chosen, [*virtual, *room])
     _check_can_change(scene, chosen)
     overrides = _overrides_of(chosen, room)
-    hiding = [] if virtual else _layers_without(scene, chosen)
+    layers = [] if virtual else map(listed, scene.view_layers)
+    hiding = [layer for layer in layers if not set(chosen) & set(layer.objects)]
     collection = virtual_collection(scene, create=bool(chosen))
     if collection is not None:
         for layer in hiding:
@@ -95,12 +96,18 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
         if not virtual & set(item.users_collection):
             collection.objects.link(item)
         homes = room & set(item.users_collection)
-        if homes:
-            _remember_homes(scene, item, homes)
+        if homes and item.library is None:  # An object that is linked cannot remember anything.
+            item.pop(HOMES, None)
+            if homes != {scene.collection}:
+                item[HOMES] = json.dumps(sorted(home.name for home in homes))
         showing = [other for other in item.users_scene if other.library is None]
         for home in homes:
             home.objects.unlink(item)
-        _lend(item, [other for other in showing if item not in set(other.objects)])
+        others = [other for other in showing if item not in set(other.objects)]
+        for other in others:
+            other.collection.objects.link(item)
+        if others and item.library is None:
+            item[LENT] = json.dumps([other.name for other in others])
     return chosen
 
 
@@ -118,7 +125,9 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     virtual, room = collections_of(scene)
     for item in chosen:
         if not room & set(item.users_collection):
-            for home in _homes(scene, item, room):
+            names = json.loads(item.get(HOMES, "[]"))
+            homes = [home for home in room if home.name in names and home.library is None]
+            for home in homes or [scene.collection]:
                 home.objects.link(item)
         if item.library is None:
             item.pop(HOMES, None)
@@ -167,39 +176,11 @@ def _move(
             parent.children.unlink(moved)
 
 
-def _remember_homes(scene: bpy.types.Scene, item: bpy.types.Object, homes: set[bpy.types.Collection]) -> None:
-    if item.library is not None:  # An object that is linked cannot remember anything.
-        return
-    item.pop(HOMES, None)
-    if homes != {scene.collection}:
-        item[HOMES] = json.dumps(sorted(home.name for home in homes))
-
-
-def _layers_without(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[bpy.types.ViewLayer]:
-    return [layer for layer in map(listed, scene.view_layers) if not set(objects) & set(layer.objects)]
-
-
 def listed(layer: bpy.types.ViewLayer) -> bpy.types.ViewLayer:
     """`layer`, with its collections and objects: in Blender 5 one of a scene that was never shown has none before."""
     if layer.layer_collection is None:
         layer.update()
     return layer
-
-
-def _lend(item: bpy.types.Object, others: Sequence[bpy.types.Scene]) -> None:
-    """Have `others`, which have lost it, show it."""
-    for other in others:
-        other.collection.objects.link(item)
-    if others and item.library is None:
-        item[LENT] = json.dumps([other.name for other in others])
-
-
-def _homes(
-    scene: bpy.types.Scene, item: bpy.types.Object, room: set[bpy.types.Collection]
-) -> list[bpy.types.Collection]:
-    """Those of the collections of `room` that `item` was taken out of, at least the master collection of `scene`."""
-    names = json.loads(item.get(HOMES, "[]"))
-    return [home for home in room if home.name in names and home.library is None] or [scene.collection]
 
 
 def with_parts(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:

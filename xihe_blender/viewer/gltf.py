@@ -41,6 +41,7 @@ def viewed_objects(
     for item in objects:
         _unhide(scene, item)
     depsgraph, metres = scene.view_layers[0].depsgraph, metres_per_unit(scene)
+    y_up = np.diag([metres, metres, metres, 1.0]) @ TURNED  # From Blender's axes and units, to metres.
     counts = {item.name: _n_triangles(item, depsgraph) for item in objects}
     if sum(counts.values()) > MOST_TRIANGLES:
         largest = max(counts, key=lambda name: counts[name])
@@ -55,7 +56,7 @@ def viewed_objects(
     for frame in frames:
         scene.frame_set(frame)
         for item in objects:
-            moves[item.name].append(_y_up(_place(item, scene) @ from_start[item.name], metres))
+            moves[item.name].append(y_up @ _place(item, scene) @ from_start[item.name] @ TURNED.T)
     viewed = []
     for name, corners_m in boxes_m.items():
         middle_m = (corners_m.min(axis=0) + corners_m.max(axis=0)) / 2
@@ -85,12 +86,6 @@ def _inverse(place: ArrayF64) -> ArrayF64:
     inverse[:3, :3] = np.linalg.pinv(place[:3, :3])
     inverse[:3, 3] = -inverse[:3, :3] @ place[:3, 3]
     return inverse
-
-
-def _y_up(move: ArrayF64, metres: float) -> ArrayF64:
-    """A move in Blender's axes and units as one from what is in its units, Y up, to metres."""
-    result: ArrayF64 = np.diag([metres, metres, metres, 1.0]) @ TURNED @ move @ TURNED.T
-    return result
 
 
 def _n_triangles(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int:

@@ -5,7 +5,7 @@ from rooms import look_through_camera, make_runs_short
 from scene_snapshot import differences, snapshot
 
 from xihe_blender.addon import panels
-from xihe_blender.addon.calibration import calibration_file, calibration_line
+from xihe_blender.addon.planning_operators import calibration_file, calibration_line
 
 
 def prepare():

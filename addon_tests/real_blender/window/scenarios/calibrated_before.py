@@ -2,7 +2,7 @@
 
 from calibrate import sentences_drawn
 
-from xihe_blender.addon.calibration import calibration_line
+from xihe_blender.addon.planning_operators import calibration_line
 
 
 def scenario(w):
