@@ -244,8 +244,7 @@ def _inverse_3x3(matrix: ArrayF64) -> ArrayF64:
     volume = float(np.dot(x, across[0]))
     if abs(volume) < SMALLEST_VOLUME:
         raise ValueError("project_points: world_from_camera cannot be inverted; its axes lie in one plane")
-    inverse: ArrayF64 = across / volume / (largest * lengths)[:, None]
-    return inverse
+    return across / volume / (largest * lengths)[:, None]
 
 
 def _cross(a: ArrayF64, b: ArrayF64) -> tuple[float, float, float]:
@@ -277,8 +276,7 @@ def pixels_in_view(
 
 def _is_inside(pixels: ArrayF64, plane_depth_m: ArrayF64, intrinsics: Intrinsics) -> ArrayBool:
     inside = (pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height])
-    result: ArrayBool = inside.all(axis=1) & (plane_depth_m > 0)
-    return result
+    return inside.all(axis=1) & (plane_depth_m > 0)
 
 
 def behind_m(point_m: ArrayLike, frame: RgbdFrame) -> float:
@@ -341,8 +339,7 @@ def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
     """
     counts = np.stack([np.bincount(srgb_u8[..., channel].reshape(-1), minlength=256) for channel in range(3)])
     shares = counts / srgb_u8[..., 0].size
-    mean: ArrayF64 = (shares * LINEAR_OF_CODE).sum(axis=1) / exposure
-    return mean
+    return (shares * LINEAR_OF_CODE).sum(axis=1) / exposure
 
 
 def pixel_rays(intrinsics: Intrinsics) -> ArrayF64:

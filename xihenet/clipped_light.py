@@ -94,8 +94,7 @@ def _met_by_chance(is_lamp: Sequence[ArrayBool], fog: ArrayBool | None) -> Array
     for inside in (False, True, True):
         around = neighbours(lamp, NEIGHBOURHOOD)
         lamp = around.all(axis=0) if inside else around.any(axis=0)
-    by_chance: ArrayBool = lamp & fog
-    return by_chance
+    return lamp & fog
 
 
 class _Reflections:
@@ -124,5 +123,4 @@ class _Reflections:
 
 def _mean_around(total: ArrayF32, counts: ArrayF32) -> ArrayF32:
     n = neighbours(counts, NEIGHBOURHOOD).sum(axis=0)
-    mean: ArrayF32 = neighbours(total, NEIGHBOURHOOD).sum(axis=0) / np.maximum(n, 1)
-    return mean
+    return neighbours(total, NEIGHBOURHOOD).sum(axis=0) / np.maximum(n, 1)

@@ -125,8 +125,7 @@ def facing_codes(facing: ArrayF32) -> NDArray[np.int8]:
 
 def _facing_steps(facing: ArrayF32, steps: int) -> NDArray[Any]:
     """Cosines as whole steps of 1 / `steps`."""
-    codes: NDArray[Any] = np.rint(np.clip(np.nan_to_num(facing), -1, 1) * steps)
-    return codes
+    return np.rint(np.clip(np.nan_to_num(facing), -1, 1) * steps)
 
 
 @functools.cache

@@ -104,8 +104,7 @@ def light_change(old: UnitSphereCloud, new: UnitSphereCloud, settings: LightFoll
     followed = _stops(before, after, FIRST_CODE)
     medians = np.array([np.median(followed[can_say[:, c], c]) if c in asked else np.nan for c in range(3)])
     # A channel too dark or too bright to say goes with the others.
-    factor: ArrayF64 = np.exp2(np.where(np.isfinite(medians), medians, np.nanmean(medians)))
-    return factor
+    return np.exp2(np.where(np.isfinite(medians), medians, np.nanmean(medians)))
 
 
 def _cannot_agree(before: ArrayF32, after: ArrayF32, settings: LightFollowing) -> bool:

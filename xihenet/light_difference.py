@@ -57,11 +57,9 @@ def _without_nan(cloud: UnitSphereCloud) -> UnitSphereCloud:
 def _weighed(light: ArrayF64) -> ArrayF64:
     weights = np.full((len(light), 1), DIRECTION_WEIGHT)
     weights[0] = 1.0
-    weighed: ArrayF64 = light * weights
-    return weighed
+    return light * weights
 
 
 def _mean_square(light: ArrayF64) -> ArrayF64:
     """(3,) by channel."""
-    mean: ArrayF64 = np.mean(light**2, axis=0)
-    return mean
+    return np.mean(light**2, axis=0)

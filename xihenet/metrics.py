@@ -202,8 +202,7 @@ def hues(image: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
 def angles_deg(first: ArrayF64, second: ArrayF64) -> ArrayF64:
     """(...) between vectors (..., 3): atan2(|a x b|, a . b), 0 exactly for equal ones."""
     across = np.linalg.norm(np.cross(first, second), axis=-1)
-    angles: ArrayF64 = np.degrees(np.arctan2(across, np.einsum("...c,...c->...", first, second)))
-    return angles
+    return np.degrees(np.arctan2(across, np.einsum("...c,...c->...", first, second)))
 
 
 def angular_error(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> AngularError:

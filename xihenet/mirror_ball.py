@@ -59,8 +59,7 @@ def ball_pixels(directions: ArrayLike, size: int) -> tuple[ArrayInt, ArrayInt]:
 
 
 def _pixel(place: ArrayF64, size: int) -> ArrayInt:
-    pixel: ArrayInt = np.clip(np.floor(place * size).astype(np.intp), 0, size - 1)
-    return pixel
+    return np.clip(np.floor(place * size).astype(np.intp), 0, size - 1)
 
 
 @lru_cache(maxsize=24)
@@ -100,8 +99,7 @@ def _parities(order: int) -> tuple[ArrayInt, ArrayInt]:
 def _mirrored(quarter: NDArray[Any], along_x: int, along_y: int) -> ArrayF64:
     """The whole picture's sums (N, N), from those of the quarter where X and Y are positive."""
     half = quarter + along_x * quarter[:, ::-1]
-    whole: ArrayF64 = (half + along_y * half[::-1]).astype(np.float64)
-    return whole
+    return (half + along_y * half[::-1]).astype(np.float64)
 
 
 def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, turned: ArrayLike | None = None) -> ArrayF64:
@@ -144,8 +142,7 @@ def panorama_of_ball(radiance: ArrayLike, height: int) -> ArrayF32:
     """(height, 2 height, 3) a mirror ball as a panorama: each texel the mean of what it covers."""
     cells = 4
     fine = seen_in_ball(radiance, panorama_directions(height * cells, 2 * height * cells))
-    panorama: ArrayF32 = fine.reshape(height, cells, 2 * height, cells, 3).mean(axis=(1, 3))
-    return panorama
+    return fine.reshape(height, cells, 2 * height, cells, 3).mean(axis=(1, 3))
 
 
 def seen_in_ball(radiance: ArrayLike, directions: ArrayLike) -> ArrayF32:

@@ -115,8 +115,7 @@ def project_panorama(radiance: ArrayLike, order: int = 2) -> ArrayF64:
         raise ValueError(f"panorama: expected finite radiance, got {n_bad} pixels with NaN or infinity")
     rows, columns = _texel_tables(height, width, order)
     row_sums = (rows @ image.reshape(height, width * 3)).reshape(len(rows), width, 3)
-    coefficients: ArrayF64 = np.matmul(columns[:, None, :], row_sums)[:, 0]
-    return coefficients
+    return np.matmul(columns[:, None, :], row_sums)[:, 0]
 
 
 def evaluate_panorama(sh_radiance: ArrayLike, height: int, width: int) -> ArrayF64:

@@ -144,8 +144,7 @@ def _inverse_lengths(columns: ArrayF32) -> ArrayF32:
     squares += columns[1] * columns[1]
     squares += columns[2] * columns[2]
     np.sqrt(squares, out=squares)
-    inverse: ArrayF32 = np.divide(np.float32(1), squares, out=squares)
-    return inverse
+    return np.divide(np.float32(1), squares, out=squares)
 
 
 def cut_patches(patches: Patches, n_anchors: int) -> tuple[ArrayInt, ArrayF32]:
@@ -197,8 +196,7 @@ def _n_along(patches: Patches, spacing: float) -> ArrayInt:
     # Rounding makes what lies in depth alone negative.
     angles = np.sqrt(np.maximum(squares, 0, out=squares), out=squares)
     angles *= np.float32(1 / (POINT_GAP * spacing))
-    counts: ArrayInt = np.minimum(np.maximum(np.ceil(angles), 1), MOST_ALONG).astype(np.intp)
-    return counts
+    return np.minimum(np.maximum(np.ceil(angles), 1), MOST_ALONG).astype(np.intp)
 
 
 def describe_surfaces(

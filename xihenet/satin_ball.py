@@ -45,22 +45,19 @@ def cone_factors(order: int) -> ArrayF64:
 @cache
 def satin_factors(order: int) -> ArrayF64:
     """(order + 1,) what the ball leaves of each band."""
-    factors: ArrayF64 = (cosine_lobe(order) / np.pi + cone_factors(order)) / 2
-    return factors
+    return (cosine_lobe(order) / np.pi + cone_factors(order)) / 2
 
 
 def satin_of_cones(cones: ArrayLike) -> ArrayF64:
     """((order + 1)^2, 3) coefficients of what the ball shows, from those of the light's means over cones."""
     picture, order = checked_sh(cones)
-    shown: ArrayF64 = picture * per_coefficient(satin_factors(order) / cone_factors(order))[:, None]
-    return shown
+    return picture * per_coefficient(satin_factors(order) / cone_factors(order))[:, None]
 
 
 def satin_picture(sh_radiance: ArrayLike) -> ArrayF64:
     """((order + 1)^2, 3) coefficients of what the ball shows under a light of the same shape; ValueError as `sh`."""
     light, order = checked_sh(sh_radiance)
-    picture: ArrayF64 = light * per_coefficient(satin_factors(order))[:, None]
-    return picture
+    return light * per_coefficient(satin_factors(order))[:, None]
 
 
 def mean_square(picture: ArrayF64) -> float:
@@ -97,8 +94,7 @@ class SatinBall:
     @property
     def light(self) -> ArrayF64:
         """(9, 3) the true light as far as order 2 holds it."""
-        light: ArrayF64 = self.picture[:N_OF_ORDER_2] / per_coefficient(satin_factors(2))[:, None]
-        return light
+        return self.picture[:N_OF_ORDER_2] / per_coefficient(satin_factors(2))[:, None]
 
     @property
     def beyond_order_2(self) -> float:

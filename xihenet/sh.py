@@ -253,8 +253,7 @@ def _windowed(coefficients: ArrayF64, table: ArrayF64) -> tuple[ArrayF64, float]
     by_band = np.stack([table[:, band_slice(one)] @ coefficients[band_slice(one)] for one in band])
 
     def window(strength: float) -> ArrayF64:
-        factors: ArrayF64 = (1 - strength) ** (band * (band + 1) / 2)
-        return factors
+        return (1 - strength) ** (band * (band + 1) / 2)
 
     def lowest(strength: float) -> float:
         return float(np.tensordot(window(strength), by_band, axes=1).min())

@@ -63,8 +63,7 @@ def unit_directions(directions: ArrayLike) -> ArrayF64:
         n_bad = np.count_nonzero(~is_direction)
         raise ValueError(f"directions: expected finite lengths above 0, got {n_bad} that are zero, NaN or infinite")
     scaled = vectors / largest
-    units: ArrayF64 = scaled / np.sqrt(np.einsum("pi,pi->p", scaled, scaled))[:, None]
-    return units
+    return scaled / np.sqrt(np.einsum("pi,pi->p", scaled, scaled))[:, None]
 
 
 def legendre_factors(z: ArrayF64, order: int) -> ArrayF64:

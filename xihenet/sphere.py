@@ -180,8 +180,7 @@ def _look_up(columns: ArrayF32 | ArrayF64, table: NDArray[np.uint16]) -> ArrayIn
     cells = row.astype(np.int32)
     cells *= np.int32(width + 1)
     cells += column.astype(np.int32)
-    anchors: ArrayInt = table.take(cells, mode="clip").astype(np.intp)
-    return anchors
+    return table.take(cells, mode="clip").astype(np.intp)
 
 
 def _largest_cosine(columns: ArrayF64, directions: ArrayF64) -> ArrayInt:
@@ -230,5 +229,4 @@ def _neighbours(n: int, k: int) -> ArrayInt:
 
 def _cosine_at_most(directions: ArrayF64, height: float) -> ArrayF64:
     """The largest cosine of each unit vector to those of that z, and what rounding may add to it."""
-    cosines: ArrayF64 = directions[:, 2] * height + np.sqrt((1 - directions[:, 2] ** 2) * (1 - height**2)) + 1e-12
-    return cosines
+    return directions[:, 2] * height + np.sqrt((1 - directions[:, 2] ** 2) * (1 - height**2)) + 1e-12

@@ -217,8 +217,7 @@ def _pooled_change(
     windows = _windows(lattice, len(current), settings)
     asked, change = _change_of_light(previous, current, lattice.directions, settings, last_seen)
     around = windows[np.flatnonzero(asked)]
-    pooled: ArrayF32 = np.where(asked, change, np.float32(0))[around].sum(axis=1) / asked[around].sum(axis=1)
-    return pooled
+    return np.where(asked, change, np.float32(0))[around].sum(axis=1) / asked[around].sum(axis=1)
 
 
 def _windows(lattice: AnchorLattice, n_anchors: int, settings: TriggerSettings) -> ArrayInt:
@@ -268,14 +267,12 @@ def seen_from_another_angle(
         square = way_m**2 + moved_m * (2 * way_m * _dot(outwards, before.view_direction) + moved_m)
         is_turned = along_m < np.float32(np.cos(np.radians(angle_deg))) * np.sqrt(np.maximum(square, 0))
     is_known = (way_m > 0) & (now.camera_distance_m > 0)
-    turned: ArrayBool = is_known & is_turned
-    return turned
+    return is_known & is_turned
 
 
 def _dot(a: ArrayF32, b: ArrayF32) -> ArrayF32:
     """(N,) of (N, 3)."""
-    product: ArrayF32 = np.einsum("nc,nc->n", a, b)
-    return product
+    return np.einsum("nc,nc->n", a, b)
 
 
 def _change_by_the_light(

@@ -152,8 +152,7 @@ class DriftFollower:
         probes = [known.points_m[thinned(np.arange(len(known.points_m)), N_PROBES)] for known in self._keyframes]
         owner = np.repeat(np.arange(len(probes)), [len(points) for points in probes])
         again, _ = _same_surface(np.concatenate(probes), frame, is_readable)
-        n_shown: ArrayF64 = np.bincount(owner[again], minlength=len(probes)) / np.bincount(owner)
-        return n_shown
+        return np.bincount(owner[again], minlength=len(probes)) / np.bincount(owner)
 
     def _to_compare(self, shown: ArrayF64) -> list[_Seen]:
         """The frame before, and a few keyframes; none twice."""
@@ -182,10 +181,7 @@ def follow_drift(frames: Iterable[RgbdFrame]) -> Drift:
 def _readable(frame: RgbdFrame) -> ArrayBool:
     """(H, W) where the depth is known and no edge, and no channel is near black or white."""
     darkest, brightest = frame.srgb_u8.min(axis=2), frame.srgb_u8.max(axis=2)
-    readable: ArrayBool = (
-        away_from_edges(frame.plane_depth_m) & (darkest >= DARKEST_CODE) & (brightest <= BRIGHTEST_CODE)
-    )
-    return readable
+    return away_from_edges(frame.plane_depth_m) & (darkest >= DARKEST_CODE) & (brightest <= BRIGHTEST_CODE)
 
 
 def _same_surface(points_m: ArrayF32 | ArrayF64, frame: RgbdFrame, is_readable: ArrayBool) -> tuple[ArrayInt, ArrayInt]:
@@ -225,8 +221,7 @@ def _angles_deg(points_m: ArrayF32 | ArrayF64, first_m: ArrayF64, second_m: Arra
     towards = [place_m - points_m.astype(np.float64) for place_m in (first_m, second_m)]
     lengths = [np.linalg.norm(one, axis=1).clip(1e-9) for one in towards]
     cosine = np.einsum("kc,kc->k", *towards) / (lengths[0] * lengths[1])
-    angles: ArrayF64 = np.degrees(np.arccos(cosine.clip(-1, 1)))
-    return angles
+    return np.degrees(np.arccos(cosine.clip(-1, 1)))
 
 
 def _weighted_median(values: ArrayF64, weights: ArrayF64) -> ArrayF64:
@@ -234,5 +229,4 @@ def _weighted_median(values: ArrayF64, weights: ArrayF64) -> ArrayF64:
     order = np.argsort(values, axis=0)
     summed = np.cumsum(np.take_along_axis(weights, order, 0), axis=0)
     at = (summed < summed[-1] / 2).sum(axis=0)
-    median: ArrayF64 = np.take_along_axis(values, np.take_along_axis(order, at[None], 0), 0)[0]
-    return median
+    return np.take_along_axis(values, np.take_along_axis(order, at[None], 0), 0)[0]

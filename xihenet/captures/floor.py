@@ -136,8 +136,7 @@ def rotation_between(start: ArrayF64, end: ArrayF64) -> ArrayF64:
     """(3, 3) the smallest rotation that takes unit (3,) `start` to `end`; they are not opposite."""
     x, y, z = np.cross(start, end)
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turn: ArrayF64 = np.eye(3) + skew + skew @ skew / (1 + start @ end)
-    return turn
+    return np.eye(3) + skew + skew @ skew / (1 + start @ end)
 
 
 def _turned(frame: CapturedFrame, turn: ArrayF64) -> CapturedFrame:

@@ -111,8 +111,7 @@ class Scan:
     @property
     def _origin(self) -> ArrayInt:
         """(3,) the block from which all others are counted, so that keys hold them wherever a recording lies."""
-        origin: ArrayInt = np.floor(self.origin_m / (self.settings.voxel_m * SIDE)).astype(np.int64)
-        return origin
+        return np.floor(self.origin_m / (self.settings.voxel_m * SIDE)).astype(np.int64)
 
     def add(self, frame: RgbdFrame) -> None:
         """Take in what one frame shows; nothing where it has no valid depth."""

@@ -155,8 +155,7 @@ def _far_enough_apart(poses: list[ArrayF64]) -> ArrayBool:
     axes, places = stacked[:, :3, :3], stacked[:, :3, 3]
     cosine = (np.einsum("aij,bij->ab", axes, axes) - 1) / 2
     steps = np.linalg.norm(places[:, None] - places, axis=-1)
-    is_apart: ArrayBool = (cosine < np.cos(SMALLEST_TURN)) | (steps > SMALLEST_STEP_M)
-    return is_apart
+    return (cosine < np.cos(SMALLEST_TURN)) | (steps > SMALLEST_STEP_M)
 
 
 def _corrected(pose: ArrayF64, poses: str) -> ArrayF64:

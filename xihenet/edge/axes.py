@@ -45,8 +45,7 @@ def _coefficient_matrix(axes: str) -> ArrayF64:
 
 def coefficients_in(sh_radiance: ArrayF64, axes: str) -> list[float]:
     """27 numbers, nine of red, then green, then blue, in the client's axes, of (9, 3) in ours."""
-    numbers: list[float] = (_coefficient_matrix(axes) @ sh_radiance).T.ravel().tolist()
-    return numbers
+    return (_coefficient_matrix(axes) @ sh_radiance).T.ravel().tolist()
 
 
 def sh_from(coefficients: Sequence[float], axes: str) -> ArrayF64:
@@ -54,17 +53,14 @@ def sh_from(coefficients: Sequence[float], axes: str) -> ArrayF64:
     own = np.asarray(coefficients, np.float64)
     if own.shape != (27,) or not np.isfinite(own).all():
         raise ValueError(f"coefficients: expected 27 finite numbers, got an array of shape {own.shape}")
-    sh_radiance: ArrayF64 = _coefficient_matrix(axes).T @ own.reshape(3, 9).T
-    return sh_radiance
+    return _coefficient_matrix(axes).T @ own.reshape(3, 9).T
 
 
 def vector_in(vector: ArrayLike, axes: str) -> list[float]:
     """(3,) in our axes as the client has it."""
-    own: list[float] = (AXES[axes] @ np.asarray(vector, np.float64)).tolist()
-    return own
+    return (AXES[axes] @ np.asarray(vector, np.float64)).tolist()
 
 
 def vector_from(vector: ArrayLike, axes: str) -> ArrayF64:
     """(3,) of the client in our axes."""
-    ours: ArrayF64 = AXES[axes].T @ np.asarray(vector, np.float64)
-    return ours
+    return AXES[axes].T @ np.asarray(vector, np.float64)

@@ -152,8 +152,7 @@ class Handler:
         if not hasattr(self, name):
             self.headers["Allow"] = self._allowed()
             raise Refused(405, HTTPStatus(405).phrase)
-        method: Callable[..., Awaitable[None] | None] = getattr(self, name)
-        return method
+        return getattr(self, name)
 
     def _allowed(self) -> str:
         return ", ".join(method for method, name in METHODS.items() if hasattr(self, name))

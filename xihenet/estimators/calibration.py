@@ -33,8 +33,7 @@ def raw_error(network_error: ArrayLike, sh_radiance: ArrayLike) -> ArrayF64:
     anything was seen, or that it was dark, is no reason to be sure.
     """
     size = np.sqrt(np.mean(np.square(np.asarray(sh_radiance, np.float64)), axis=(1, 2)))
-    raw: ArrayF64 = np.asarray(network_error, np.float64) ** (1 - OF_SIZE) * np.maximum(size, DARKEST) ** OF_SIZE
-    return raw
+    return np.asarray(network_error, np.float64) ** (1 - OF_SIZE) * np.maximum(size, DARKEST) ** OF_SIZE
 
 
 @dataclass(frozen=True)
@@ -58,8 +57,7 @@ class Calibration:
     def expected(self, raw: ArrayLike, coverage: ArrayLike) -> ArrayF64:
         """(M,) expected SHC RMSE of raw expected errors (M,) at coverages (M,) from 0 to 1."""
         powered = np.maximum(np.asarray(raw, np.float64), SMALLEST_RAW) ** self.power
-        errors: ArrayF64 = self.factor * powered * np.exp(self.slope * np.asarray(coverage, np.float64))
-        return errors
+        return self.factor * powered * np.exp(self.slope * np.asarray(coverage, np.float64))
 
     def as_figures(self) -> dict[str, Any]:
         """What a weights file keeps in its header: `error_law` and `error_quantiles`."""

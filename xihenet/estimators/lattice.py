@@ -144,8 +144,7 @@ def of_one_shape(sh_radiance: ArrayF64, coverage: ArrayF64) -> ArrayF64:
     is_clear = (mean > FAINTEST * mean.max(axis=2, keepdims=True)) & (mean > np.finfo(np.float32).tiny)
     shape = sh_radiance / np.where(is_clear, mean, 1.0)
     mixed = mean * ((1 - share) * shape + share * shape.mean(axis=2, keepdims=True))
-    one_shape: ArrayF64 = np.where(is_clear.all(axis=2, keepdims=True), mixed, sh_radiance)
-    return one_shape
+    return np.where(is_clear.all(axis=2, keepdims=True), mixed, sh_radiance)
 
 
 def lean_on_sensor(sh_radiance: ArrayF64, coverage: ArrayF64, sensed: ArrayF64) -> ArrayF64:
@@ -155,8 +154,7 @@ def lean_on_sensor(sh_radiance: ArrayF64, coverage: ArrayF64, sensed: ArrayF64) 
     8 % for one anchor of 1280, 99 % from a twentieth of the sphere on. Constant light stays constant.
     """
     share = -np.expm1(-coverage / SEEN_ENOUGH)[:, None, None]
-    mixed: ArrayF64 = share * sh_radiance + (1 - share) * sensed
-    return mixed
+    return share * sh_radiance + (1 - share) * sensed
 
 
 class _Runs(Protocol):

@@ -122,8 +122,7 @@ def place_tables(n_anchors: int) -> tuple[PlaceTables, ...]:
 def basis_products(n_anchors: int) -> ArrayF32:
     """(n, 81) of each two at each anchor: their sum over the set anchors is the matrix of the least squares."""
     table = basis(AnchorLattice(n_anchors).directions, 2)
-    products: ArrayF32 = (table[:, :, None] * table[:, None, :]).reshape(n_anchors, N_SH * N_SH).astype(np.float32)
-    return products
+    return (table[:, :, None] * table[:, None, :]).reshape(n_anchors, N_SH * N_SH).astype(np.float32)
 
 
 @lru_cache(maxsize=16)
@@ -157,8 +156,7 @@ def pooling_matrix(n_fine: int, n_coarse: int) -> ArrayF32:
     angle = np.arccos(np.clip(ring_grid(n_fine).directions @ ring_grid(n_coarse).directions.T, -1, 1))
     weight = np.exp(-((angle / np.sqrt(4 / n_coarse)) ** 2))
     share = weight / weight.sum(axis=0)
-    matrix: ArrayF32 = np.where(share < SMALLEST_WEIGHT, 0, share).astype(np.float32)
-    return matrix
+    return np.where(share < SMALLEST_WEIGHT, 0, share).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

@@ -180,8 +180,7 @@ class LatticeNetwork:
         rotated = np.matmul(vectors.transpose(0, 2, 1), moments.transpose(1, 2, 0) * per_anchor) / values[..., None]
         coefficients = np.matmul(vectors, rotated)
         coefficients[:, 0] += mean.T * np.sqrt(4 * np.pi)
-        result: ArrayF32 = coefficients.astype(np.float32)
-        return result
+        return coefficients.astype(np.float32)
 
     def _levels(self, inputs: ArrayF32, relative: ArrayF32) -> tuple[ArrayF32, ArrayF32]:
         """(rows, B, n) what the decoder sees but for what the code gives, and the features of the coarsest cells."""
@@ -267,8 +266,7 @@ class LatticeNetwork:
             certain = _size(guessed / relative_to) / doubt
             guessed = guessed * (certain**4 / (certain**4 + 1))[:, None, None]
         counted = _logarithmic(_size(guessed / relative_to), bright * seen * unseen**2)
-        believed: ArrayF32 = guessed * counted[:, None, None] + lamps
-        return believed
+        return guessed * counted[:, None, None] + lamps
 
     def _radiance(self, decoder_inputs: ArrayF32, spread: ArrayF32) -> ArrayF32:
         """(3, B, n) that the projection lacks in the middle cells, relative to each channel's mean."""
@@ -278,8 +276,7 @@ class LatticeNetwork:
         """(B, 9, 3) coefficients of the radiance (3, B, n) in shares (B, n) of the middle cells."""
         n_clouds, n = share.shape
         coefficients = _product((radiance * share).reshape(3 * n_clouds, n), self._quadrature)
-        light: ArrayF32 = coefficients.reshape(3, n_clouds, N_SH).transpose(1, 2, 0)
-        return light
+        return coefficients.reshape(3, n_clouds, N_SH).transpose(1, 2, 0)
 
 
 class _Folded:
@@ -388,15 +385,13 @@ def _lit_level(linear: ArrayF32, unclipped: ArrayF32, level: ArrayF32) -> ArrayF
     squared = np.square(linear)
     shade = np.einsum("cbn,bn->cb", np.square(squared, out=squared), unclipped) / np.maximum(unclipped.sum(axis=1), 1)
     shade = np.sqrt(np.sqrt(np.maximum(shade, np.float32(SMALLEST_MEAN**4))))
-    lit: ArrayF32 = shade * (level.mean(axis=0) / shade.mean(axis=0))
-    return lit
+    return shade * (level.mean(axis=0) / shade.mean(axis=0))
 
 
 def _contrast(residual: ArrayF32, n_set: ArrayF32, level: ArrayF32) -> ArrayF32:
     """(B,) 0 where all that was seen is alike, near 1 for any real picture."""
     variance = (np.einsum("cbn,cbn->cb", residual, residual) / level**2).sum(axis=0) / (3 * np.maximum(n_set, 1))
-    result: ArrayF32 = variance / (variance + np.float32(CONTRAST_SCALE**2))
-    return result
+    return variance / (variance + np.float32(CONTRAST_SCALE**2))
 
 
 def _squeeze(values: ArrayF32, out: ArrayF32) -> ArrayF32:

@@ -161,8 +161,7 @@ def _inverse_density(squared: ArrayF32, bandwidth: float) -> ArrayF32:
     kernel = squared * np.float32(-0.5 / bandwidth**2)
     np.maximum(kernel, _LOWEST_EXPONENT, out=kernel)
     inverse = 1 / np.maximum(np.exp(kernel, out=kernel).sum(axis=1), _SMALLEST_SUM)
-    largest: ArrayF32 = inverse / max(inverse.max(), _SMALLEST_SUM)
-    return largest
+    return inverse / max(inverse.max(), _SMALLEST_SUM)
 
 
 def _farthest_points(places: ArrayF32, squared: ArrayF32, n: int) -> ArrayInt:
@@ -185,5 +184,4 @@ def _nearest(squared: ArrayF32, k: int) -> ArrayInt:
     """(S, k) numbers of the columns with the smallest of (S, P) squared distances, in no order; all of fewer."""
     if squared.shape[1] <= k:
         return np.broadcast_to(np.arange(squared.shape[1]), squared.shape)
-    nearest: ArrayInt = np.argpartition(squared, k - 1, axis=1)[:, :k]
-    return nearest
+    return np.argpartition(squared, k - 1, axis=1)[:, :k]

@@ -51,8 +51,7 @@ class RingGrid:
         ring = np.clip(np.searchsorted(-self._edges, -z, side="right") - 1, 0, len(self._in_ring) - 1)
         cells = self._in_ring[ring]
         along = np.floor(np.arctan2(y, x) / (2 * np.pi) % 1 * cells).astype(np.intp)
-        found: ArrayInt = self._first[ring] + np.minimum(along, cells - 1)
-        return found
+        return self._first[ring] + np.minimum(along, cells - 1)
 
     @cached_property
     def turned(self) -> ArrayInt:

@@ -54,8 +54,7 @@ def encode_rgbd(radiance: ArrayF64) -> ArrayU8:
     brightest = np.maximum(radiance.max(axis=-1, keepdims=True), 1.0)
     divisor = np.clip(np.floor(BRIGHTEST / brightest), 1, 255) / 255
     colours = np.clip(radiance * divisor, 0, 1) ** (1 / 2.2)
-    encoded: ArrayU8 = np.rint(np.concatenate([colours, divisor], axis=-1) * 255).astype(np.uint8)
-    return encoded
+    return np.rint(np.concatenate([colours, divisor], axis=-1) * 255).astype(np.uint8)
 
 
 def _directions(side: int) -> ArrayF64:
@@ -63,15 +62,13 @@ def _directions(side: int) -> ArrayF64:
     places = (np.arange(side) + 0.5) / side * 2 - 1
     right, down = (plane[..., None] for plane in np.meshgrid(places, places))
     found = np.stack([middle + right * to_right - down * up for middle, to_right, up in np.array(FACES, float)])
-    unit: ArrayF64 = found / np.linalg.norm(found, axis=-1, keepdims=True)
-    return unit
+    return found / np.linalg.norm(found, axis=-1, keepdims=True)
 
 
 def _coarser(faces: ArrayF64, by: int) -> ArrayF64:
     """The mean of each `by` times `by` texels."""
     n, side, _, channels = faces.shape
-    mean: ArrayF64 = faces.reshape(n, side // by, by, side // by, by, channels).mean(axis=(2, 4))
-    return mean
+    return faces.reshape(n, side // by, by, side // by, by, channels).mean(axis=(2, 4))
 
 
 def _alpha(level: int, side: int) -> float:

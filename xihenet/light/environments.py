@@ -46,8 +46,7 @@ def disc_picture(key: KeyLight, height: int) -> ArrayF64:
     cosine = panorama_directions(height, 2 * height) @ key.direction
     is_inside = cosine >= min(np.cos(key.angular_radius), cosine.max())
     weights = np.where(is_inside, np.maximum(cosine, 0.0), 0.0) * solid_angles(height, 2 * height)
-    radiance: ArrayF64 = is_inside[..., None] * np.maximum(key.irradiance, 0.0) / weights.sum()
-    return radiance
+    return is_inside[..., None] * np.maximum(key.irradiance, 0.0) / weights.sum()
 
 
 def laid_out(picture: Picture, layout: Layout) -> Picture:
@@ -89,8 +88,7 @@ def rgbe_of(radiance: ArrayF64) -> ArrayU8:
     # What rounds up to 256 is one less: the exponent is of the brightest channel before it was rounded.
     colours = np.minimum(np.rint(radiance * scale[..., None]), 255)
     exponents = np.where(is_sayable, exponent + 128, 0)[..., None]
-    rgbe: ArrayU8 = np.concatenate([colours, exponents], axis=-1).astype(np.uint8)
-    return rgbe
+    return np.concatenate([colours, exponents], axis=-1).astype(np.uint8)
 
 
 def _in_runs(values: ArrayU8) -> bytes:

@@ -75,8 +75,7 @@ def silver_lobe() -> ArrayF64:
     alpha_squared = SILVER_ROUGHNESS**4
     lobe = weights * c / (1 - (1 - alpha_squared) * (1 + c) / 2) ** 2
     legendre = np.stack([np.ones_like(c), c, (3 * c * c - 1) / 2])
-    kept: ArrayF64 = (legendre * lobe).sum(axis=1) / lobe.sum()
-    return kept
+    return (legendre * lobe).sum(axis=1) / lobe.sum()
 
 
 def three_spheres(sh_radiance: ArrayLike, size: int) -> ArrayF64:
@@ -113,8 +112,7 @@ def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256, margin:
         # The last sphere ends where the panorama ends, also where a third is no whole number of pixels.
         left = margin + round(place * (width - size) / 2)
         page[top : top + size, left : left + size] = sphere
-    encoded: ArrayU8 = np.rint(linear_to_srgb(page) * 255).astype(np.uint8)
-    return encoded
+    return np.rint(linear_to_srgb(page) * 255).astype(np.uint8)
 
 
 def seen_picture(cloud: UnitSphereCloud, height: int) -> ArrayU8:
@@ -125,8 +123,7 @@ def seen_picture(cloud: UnitSphereCloud, height: int) -> ArrayU8:
     lattice = AnchorLattice(len(cloud))
     anchors = lattice.nearest(panorama_directions(height, 2 * height).reshape(-1, 3))
     shown = np.where(cloud.is_set[:, None], cloud.srgb, BACKGROUND)[anchors]
-    encoded: ArrayU8 = np.rint(shown.reshape(height, 2 * height, 3) * 255).astype(np.uint8)
-    return encoded
+    return np.rint(shown.reshape(height, 2 * height, 3) * 255).astype(np.uint8)
 
 
 def _picture_plane(size: int) -> tuple[ArrayF64, ArrayF64]:

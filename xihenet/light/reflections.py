@@ -217,8 +217,7 @@ def reflection_panorama(reflections: Reflections, height: int = 128) -> ArrayF32
     """(H, 2H, 3) float32, laid out as `xihenet.panorama` does, smooth between anchors."""
     around, weights = _between_anchors(len(reflections.radiance), height)
     smooth = np.einsum("pk,pkc->pc", weights, reflections.radiance[around])
-    panorama: ArrayF32 = smooth.reshape(height, 2 * height, 3).astype(np.float32)
-    return panorama
+    return smooth.reshape(height, 2 * height, 3).astype(np.float32)
 
 
 @lru_cache(maxsize=4)

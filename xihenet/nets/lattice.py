@@ -224,8 +224,7 @@ def _table(name: str, n: int) -> NDArray[Any]:
         "counts": lambda: pooling_table(n).counts,
         "matrix": lambda: pooling_matrix(*LEVELS[int(level) - 2 : int(level)]),
     }
-    table: NDArray[Any] = tables[name if name in tables else kind]()
-    return table
+    return tables[name if name in tables else kind]()
 
 
 def linear_from_srgb(srgb: Tensor) -> Tensor:

@@ -217,5 +217,4 @@ def _split(position: ArrayF64) -> tuple[NDArray[np.intp], ArrayF64]:
 
 def _lerped(before: ArrayF64, after: ArrayF64, share: ArrayF64) -> ArrayF64:
     """Between two independent normal values, scaled so that the standard deviation stays 1."""
-    mixed: ArrayF64 = (before * (1 - share) + after * share) / np.sqrt((1 - share) ** 2 + share**2)
-    return mixed
+    return (before * (1 - share) + after * share) / np.sqrt((1 - share) ** 2 + share**2)

@@ -135,5 +135,4 @@ def _black_body(temperature_k: float) -> ArrayF64:
         y = ((-0.9549476 * x - 1.37418593) * x + 2.09137015) * x - 0.16748867
     else:
         y = ((3.0817580 * x - 5.87338670) * x + 3.75112997) * x - 0.37001483
-    rgb: ArrayF64 = RGB_FROM_XYZ @ np.array([x / y, 1.0, (1 - x - y) / y])
-    return rgb
+    return RGB_FROM_XYZ @ np.array([x / y, 1.0, (1 - x - y) / y])

@@ -165,8 +165,7 @@ def turns_by(turn: ArrayF64, shares: ArrayF64) -> ArrayF64:
     x, y, z = np.asarray(turn, np.float64) / angle
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     sine, rest = np.sin(angle * shares)[:, None, None], (1 - np.cos(angle * shares))[:, None, None]
-    rotations: ArrayF64 = np.eye(3) + sine * cross + rest * (cross @ cross)
-    return rotations
+    return np.eye(3) + sine * cross + rest * (cross @ cross)
 
 
 def _frame_from_rows(frame: RgbdFrame, motion: CameraMotion, readout_s: float) -> tuple[ArrayF64, ArrayF64]:

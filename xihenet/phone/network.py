@@ -122,8 +122,7 @@ def arrival_frames(
     gets_through = luck >= link.loss
     n_resent = np.where(gets_through.any(axis=-1), gets_through.argmax(axis=-1), np.inf)
     waited_s = np.multiply(n_resent, link.resend_s, out=np.full(asked_s.shape, np.inf), where=np.isfinite(n_resent))
-    arrivals_s: ArrayF64 = asked_s + link.processing_s + network_s + extra_s + waited_s
-    return arrivals_s
+    return asked_s + link.processing_s + network_s + extra_s + waited_s
 
 
 def first_frame_after(arrivals_s: ArrayLike, frame_times_s: Sequence[float]) -> ArrayInt:

@@ -104,8 +104,7 @@ def fit_linear(features: ArrayF64, truth: NDArray[Any]) -> ArrayF64:
 
 def apply_linear(fit: ArrayF64, features: NDArray[Any]) -> ArrayF64:
     """(M, 9, 3) what a fit says of features (M, F)."""
-    light: ArrayF64 = (features @ fit[:-1] + fit[-1]).reshape(-1, 9, 3)
-    return light
+    return (features @ fit[:-1] + fit[-1]).reshape(-1, 9, 3)
 
 
 def _projection_features(projection: ArrayF64, clouds: CloudSet) -> ArrayF64:

@@ -128,8 +128,7 @@ class RoomChange:
     def _moved(self, points_m: NDArray[Any], position_m: ArrayF64) -> ArrayF64:
         """(P, 3) relative to the position, mirrored and turned."""
         mirroring = [-1.0 if self.is_mirrored else 1.0, 1.0, 1.0]
-        moved: ArrayF64 = (points_m - position_m) * mirroring @ rotation_about_vertical(self.angle).T
-        return moved
+        return (points_m - position_m) * mirroring @ rotation_about_vertical(self.angle).T
 
     def of_light(self, sh_radiance: ArrayF64) -> ArrayF64:
         """Coefficients (9, 3) mirrored and turned; the gains are in them already."""
@@ -157,8 +156,7 @@ class CloudSet:
     @property
     def coverage(self) -> ArrayF64:
         """(M,) share of the anchors that are set."""
-        share: ArrayF64 = self.is_set.mean(axis=1) if len(self) else np.zeros(0)
-        return share
+        return self.is_set.mean(axis=1) if len(self) else np.zeros(0)
 
     def truth(self, target: str) -> ArrayF32:
         """(M, 9, 3) of "ldr" or "hdr"."""
@@ -218,8 +216,7 @@ def open_split(cache: Path, split: Split) -> CloudSet:
 def read_content(cache: Path) -> Content:
     """What the clouds of a cache were made of; ValueError as of `read_cache`."""
     read_cache(cache)
-    content: Content = json.loads((cache / "settings.json").read_text())
-    return content
+    return json.loads((cache / "settings.json").read_text())
 
 
 class Cache(NamedTuple):

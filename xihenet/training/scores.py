@@ -123,8 +123,7 @@ def pooled_rms(values: ArrayLike) -> float | None:
 def rmse_of_each(lights: ArrayLike, truth: ArrayLike) -> ArrayF64:
     """(M,) SHC RMSE of each light; raises as `checked_lights`."""
     predicted, true = checked_lights(lights, truth)
-    made: ArrayF64 = np.sqrt(np.mean((predicted - true) ** 2, axis=(1, 2)))
-    return made
+    return np.sqrt(np.mean((predicted - true) ** 2, axis=(1, 2)))
 
 
 def ratio(above: float | None, below: float | None) -> float | None:
@@ -173,8 +172,7 @@ def _irradiance_errors(lights: ArrayF64, truth: ArrayF64) -> tuple[float | None,
 @lru_cache(maxsize=2)
 def irradiance_table(n_normals: int) -> ArrayF64:
     """(n_normals, 9): irradiance at normals spread over the sphere, from coefficients."""
-    table: ArrayF64 = basis(AnchorLattice(n_normals).directions) * np.repeat(cosine_lobe(2), [1, 3, 5])
-    return table
+    return basis(AnchorLattice(n_normals).directions) * np.repeat(cosine_lobe(2), [1, 3, 5])
 
 
 def _pictures(lights: ArrayF64) -> ArrayF64:

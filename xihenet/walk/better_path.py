@@ -95,8 +95,7 @@ class KnownRoom:
         heights = self.points_m[::step] @ lattice.directions.T
         seen = np.percentile(heights, HULL_SHARE, axis=0) if len(heights) else np.full(lattice.n, -np.inf)
         free = (self.places_m @ lattice.directions.T).max(axis=0, initial=-np.inf) + FREE_M
-        reach: ArrayF64 = np.maximum(seen, free)
-        return reach
+        return np.maximum(seen, free)
 
 
 def _points_of(cloud: PointCloud, step: int) -> Iterator[ArrayF64]:

@@ -170,9 +170,7 @@ def _rotation_vector(first: ArrayF64, last: ArrayF64) -> ArrayF64:
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
     sine, cosine = float(np.linalg.norm(axis)), (float(np.trace(turn)) - 1) / 2
     if sine > 1e-9:
-        vector: ArrayF64 = axis / sine * math.atan2(sine, cosine)
-        return vector
+        return axis / sine * math.atan2(sine, cosine)
     if cosine > 0:
         return np.zeros(3)
-    half_turn: ArrayF64 = np.linalg.svd(turn + np.eye(3))[0][:, 0] * math.pi
-    return half_turn
+    return np.linalg.svd(turn + np.eye(3))[0][:, 0] * math.pi

@@ -64,15 +64,13 @@ def places_among(points: ArrayF64, spacing_m: float) -> ArrayF64:
     keys, index, counts = np.unique((z * n_y + y) * n_x + x, return_inverse=True, return_counts=True)
     index = index.reshape(-1)
     means = np.stack([np.bincount(index, points[:, axis]) / counts for axis in range(3)], axis=1)
-    places: ArrayF64 = means[(counts >= FEWEST_PIXELS) & ~_beside_a_fuller_one(keys, counts, n_y * n_x)]
-    return places
+    return means[(counts >= FEWEST_PIXELS) & ~_beside_a_fuller_one(keys, counts, n_y * n_x)]
 
 
 def _beside_a_fuller_one(keys: ArrayInt, counts: ArrayInt, a_storey: int) -> ArrayBool:
     """Cells right below or above one with more pixels: one surface, cut by the grid of heights."""
     above, below = _counts_of(keys + a_storey, keys, counts), _counts_of(keys - a_storey, keys, counts)
-    beside: ArrayBool = (above > counts) | (below >= counts)
-    return beside
+    return (above > counts) | (below >= counts)
 
 
 def _counts_of(wanted: ArrayInt, keys: ArrayInt, counts: ArrayInt) -> ArrayInt:
@@ -94,15 +92,13 @@ def _upward_points(frame: RgbdFrame, reach_m: float) -> ArrayF64:
         is_up = _looks_up(right - inner, upper - inner) & _looks_up(inner - left, inner - lower)
         is_near = np.linalg.norm(inner - frame.world_from_camera[:3, 3], axis=-1) <= reach_m
     up = inner[known & is_up & is_near]
-    finite: ArrayF64 = up[np.isfinite(up).all(axis=1)]
-    return finite
+    return up[np.isfinite(up).all(axis=1)]
 
 
 def _looks_up(across: ArrayF64, upwards: ArrayF64) -> ArrayBool:
     """Whether the normal of a triangle (..., 3), as the camera sees it, looks up; a degenerate one does not."""
     normal = np.cross(across, upwards)
-    looks_up: ArrayBool = normal[..., 2] > UPWARD * np.linalg.norm(normal, axis=-1)
-    return looks_up
+    return normal[..., 2] > UPWARD * np.linalg.norm(normal, axis=-1)
 
 
 def seen_extent(frames: Sequence[RgbdFrame]) -> ArrayF64:
@@ -112,8 +108,7 @@ def seen_extent(frames: Sequence[RgbdFrame]) -> ArrayF64:
     """
     seen = [unproject_frame(frame).points_m[:, :2] for frame in frames]
     points = np.concatenate([np.zeros((0, 2), np.float32), *(one[np.isfinite(one).all(axis=1)] for one in seen)])
-    extent: ArrayF64 = np.percentile(points, (1, 99), axis=0) if len(points) else np.array([[1.0, 1.0], [0.0, 0.0]])
-    return extent
+    return np.percentile(points, (1, 99), axis=0) if len(points) else np.array([[1.0, 1.0], [0.0, 0.0]])
 
 
 def air_places(
@@ -142,8 +137,7 @@ def air_places(
     is_free = np.zeros(len(grid), bool)
     for frame in frames:
         is_free |= _in_front_of_surfaces(grid, frame, reach_m)
-    free: ArrayF64 = grid[is_free]
-    return free
+    return grid[is_free]
 
 
 def _in_front_of_surfaces(points_m: ArrayF64, frame: RgbdFrame, reach_m: float) -> ArrayBool:
@@ -185,5 +179,4 @@ def rank_correlation_interval(first: ArrayF64, second: ArrayF64, rng: np.random.
 def _ranks(values: ArrayF64) -> ArrayF64:
     _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
     last = np.cumsum(counts)
-    ranks: ArrayF64 = (last - (counts - 1) / 2)[index.reshape(-1)]
-    return ranks
+    return (last - (counts - 1) / 2)[index.reshape(-1)]

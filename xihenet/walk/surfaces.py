@@ -120,8 +120,7 @@ def _inside(points: ArrayF64, corners: ArrayF64) -> ArrayBool:
     """Whether each point (P, 2) is within a convex outline (K, 2), whichever way that turns."""
     edges, to_points = np.roll(corners, -1, axis=0) - corners, points[:, None] - corners
     sides = edges[:, 0] * to_points[..., 1] - edges[:, 1] * to_points[..., 0]
-    inside: ArrayBool = (sides >= 0).all(axis=1) | (sides <= 0).all(axis=1)
-    return inside
+    return (sides >= 0).all(axis=1) | (sides <= 0).all(axis=1)
 
 
 def clear_of(surface: Surface, corners_m: ArrayF64) -> Surface:
@@ -146,8 +145,7 @@ def _largest_plane(points_m: ArrayF64, tolerance_m: float, rng: np.random.Genera
     normals = normals[is_triangle] / lengths[is_triangle, None]
     offsets = (normals * corners[is_triangle, 0]).sum(axis=1)
     is_on = np.abs(points_m @ normals.T - offsets) <= tolerance_m
-    most: ArrayBool = is_on[:, is_on.sum(axis=0).argmax()]
-    return most
+    return is_on[:, is_on.sum(axis=0).argmax()]
 
 
 def _surface_through(points_m: ArrayF64, centre_m: ArrayF64, tolerance_m: float) -> Surface | None:

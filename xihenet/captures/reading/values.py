@@ -82,8 +82,7 @@ def quaternion_of(rotation: ArrayF64) -> ArrayF64:
             [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r.trace()],
         ]
     )
-    largest: ArrayF64 = np.linalg.eigh(k)[1][:, -1]
-    return largest
+    return np.linalg.eigh(k)[1][:, -1]
 
 
 def notes_on_times(times_s: Sequence[float]) -> tuple[str, ...]:

@@ -91,5 +91,4 @@ def confidence_of(frame: RgbdFrame) -> ArrayU8:
 
 def in_y_up(pose: ArrayF64) -> ArrayF64:
     """(4, 4) of a camera in ARKit's world."""
-    turned: ArrayF64 = Y_UP_FROM_Z_UP @ pose
-    return turned
+    return Y_UP_FROM_Z_UP @ pose
