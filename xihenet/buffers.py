@@ -58,7 +58,7 @@ def merge(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
     """
     if len(old) != len(new):
         raise ValueError(f"merge: expected clouds with as many anchors, got {len(old)} and {len(new)}")
-    return _merged(old, new, _merged_surfaces(old, new, new.is_set))
+    return _merged(old, new, _merged_surfaces(old, new))
 
 
 def merge_views(old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
@@ -134,17 +134,15 @@ def _merged(old: UnitSphereCloud, new: UnitSphereCloud, surfaces: AnchorSurfaces
     return UnitSphereCloud.trusted(srgb, distance_m, old.is_set | new.is_set, new.invalid, surfaces, beside_m)
 
 
-def _merged_surfaces(old: UnitSphereCloud, new: UnitSphereCloud, taken: ArrayBool) -> AnchorSurfaces | None:
+def _merged_surfaces(old: UnitSphereCloud, new: UnitSphereCloud) -> AnchorSurfaces | None:
     if old.surfaces is None and new.surfaces is None:
         return None
     unknown = AnchorSurfaces.of_facing(np.zeros(len(old), np.float32))
-    before, after = old.surfaces or unknown, new.surfaces or unknown
+    before, after, taken = old.surfaces or unknown, new.surfaces or unknown, new.is_set
     return AnchorSurfaces(
         np.where(taken, after.facing, before.facing),
-        np.where(taken, after.incidence, before.incidence),
         np.where(taken, after.camera_distance_m, before.camera_distance_m),
         np.where(taken[:, None], after.view_direction, before.view_direction),
-        np.where(taken, after.is_edge, before.is_edge),
     )
 
 

@@ -62,11 +62,10 @@ class Patches:
     # (2, 3, 2, Q) from there to the pixel's borders: first those to the left and above, then those to the right and
     # below; 0 along an axis of the picture on which no neighbour is of the same surface.
     to_border: ArrayF32
-    is_edge: ArrayBool  # (Q,) on some side of the pixel no neighbour is of the same surface
 
     def chosen(self, which: ArrayInt) -> Patches:
         """Those of these numbers."""
-        return Patches(self.centre.take(which, axis=1), self.to_border.take(which, axis=3), self.is_edge.take(which))
+        return Patches(self.centre.take(which, axis=1), self.to_border.take(which, axis=3))
 
 
 def lines_through(grid: PixelGrid, pixels: ArrayInt) -> ArrayInt:
@@ -120,7 +119,7 @@ def fit_patches(seen: SeenGrid, lines: ArrayInt) -> Patches:
     # A neighbour that is not on the surface may be anywhere, infinitely far too, so it is left out and not times 0.
     np.copyto(steps, np.float32(0), where=~is_one)
     to_border: ArrayF32 = steps - steps[:, ::-1] * ~is_one
-    return Patches(line[:, 2, 0], to_border.swapaxes(0, 1), ~is_one.all(axis=(0, 1)))
+    return Patches(line[:, 2, 0], to_border.swapaxes(0, 1))
 
 
 def _are_one_surface(inverse: ArrayF32, heights: ArrayF32) -> ArrayBool:
@@ -222,13 +221,11 @@ def describe_surfaces(
     vectors /= np.maximum(lengths, 1e-300)[:, None]
     normal, view_direction = vectors
     seen_side = np.einsum("cs,cs->s", normal, view_direction)
-    found = np.zeros((len(is_set), 7), np.float32)
-    rows = np.empty((7, len(shown)), np.float32)
+    found = np.zeros((len(is_set), 5), np.float32)
+    rows = np.empty((5, len(shown)), np.float32)
     rows[0] = np.einsum("cs,sc->s", normal, directions[is_set])
     rows[0] *= -np.copysign(1, seen_side)
-    rows[1] = np.abs(seen_side)
-    rows[2] = lengths[1]
-    rows[3:6] = view_direction
-    rows[6] = patches.is_edge.take(shown)
+    rows[1] = lengths[1]
+    rows[2:] = view_direction
     found[is_set] = rows.T
-    return AnchorSurfaces(found[:, 0], found[:, 1], found[:, 2], found[:, 3:6], found[:, 6] > 0)
+    return AnchorSurfaces(found[:, 0], found[:, 1], found[:, 2:])

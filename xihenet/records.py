@@ -236,46 +236,35 @@ class AnchorSurfaces:
     Parameters
     ----------
     facing : (N,) float32, cosine between the surface's normal, on the side that the camera saw, and the direction from
-        the surface to the position, against the anchor's own: 1 faces the position, below 0 it would see the other side
-    incidence : (N,) float32, cosine between that normal and the direction to the camera, 0 to 1: small is grazing
+        the surface to the position, against the anchor's own: 1 faces the position, below 0 it would see the other
+        side. Known where a neighbour along each axis of the picture is of the same surface, elsewhere 0
     camera_distance_m : (N,) float32, from the camera to the surface
     view_direction : (N, 3) float32, unit, from the surface to the camera: under which angle its colour was seen
-    is_edge : (N,) bool, on some side the surface ends at this pixel, or at the picture's border or a pixel without
-        plane depth: its colour may be mixed with another's. Facing and incidence are known where a neighbour along each
-        axis of the picture is of the same surface, elsewhere 0
     """
 
     facing: ArrayF32
-    incidence: ArrayF32
     camera_distance_m: ArrayF32
     view_direction: ArrayF32
-    is_edge: ArrayBool
 
     def __post_init__(self) -> None:
-        _keep(self, np.bool_, is_edge=(None,))
-        n = len(self)
-        _keep(self, np.float32, facing=(n,), incidence=(n,), camera_distance_m=(n,), view_direction=(n, 3))
+        _keep(self, np.float32, facing=(None,))
+        _keep(self, np.float32, camera_distance_m=(len(self),), view_direction=(len(self), 3))
 
     def __len__(self) -> int:
-        return len(self.is_edge)
+        return len(self.facing)
 
     @classmethod
     def of_facing(cls, facing: ArrayLike) -> AnchorSurfaces:
         """Surfaces of which only `facing` (N,) is known."""
         zeros = np.zeros(len(np.asarray(facing)), np.float32)
-        return cls(np.asarray(facing), zeros, zeros, np.zeros((len(zeros), 3), np.float32), zeros > 0)
+        return cls(np.asarray(facing), zeros, np.zeros((len(zeros), 3), np.float32))
 
     def with_far_light(self, is_far: ArrayBool, rays: ArrayLike) -> AnchorSurfaces:
         """Where anchors `is_far` (N,) show light from far away, along `rays` (K, 3), they face the position."""
-        one, view_direction = np.float32(1), self.view_direction.copy()
+        view_direction = self.view_direction.copy()
         view_direction[is_far] = -np.asarray(rays).reshape(-1, 3)
-        return AnchorSurfaces(
-            np.where(is_far, one, self.facing),
-            np.where(is_far, one, self.incidence),
-            np.where(is_far, np.float32(FAR_M), self.camera_distance_m),
-            view_direction,
-            self.is_edge,
-        )
+        camera_distance_m = np.where(is_far, np.float32(FAR_M), self.camera_distance_m)
+        return AnchorSurfaces(np.where(is_far, np.float32(1), self.facing), camera_distance_m, view_direction)
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,7 +128,7 @@ class PlainPicture:
             point = self.points[pixel]
             if not (NEAREST_M < np.linalg.norm(point) < FARTHEST_M and self._is_sparse(pixel)):
                 continue
-            (left, right, _), (up, down, _) = (self._to_border(pixel, axis) for axis in (0, 1))
+            (left, right), (up, down) = (self._to_border(pixel, axis) for axis in (0, 1))
             across, along = _shares(point, right - left, gap), _shares(point, down - up, gap)
             if len(across) * len(along) == 1:
                 continue
@@ -142,20 +142,18 @@ class PlainPicture:
     def surfaces(self, pixels: ArrayInt, directions: ArrayF64) -> AnchorSurfaces:
         """What anchors in `directions` (N, 3) show that these pixels (N,) have won; -1 is an anchor that is not set."""
         n = len(pixels)
-        facing, incidence, camera_distance_m = np.zeros((3, n), np.float32)
-        view_direction, is_edge = np.zeros((n, 3), np.float32), np.zeros(n, bool)
+        facing, camera_distance_m = np.zeros((2, n), np.float32)
+        view_direction = np.zeros((n, 3), np.float32)
         for anchor in np.flatnonzero(pixels >= 0):
             pixel = int(pixels[anchor])
             point = self.points[pixel]
-            (left, right, ends_across), (up, down, ends_along) = (self._to_border(pixel, axis) for axis in (0, 1))
+            (left, right), (up, down) = (self._to_border(pixel, axis) for axis in (0, 1))
             to_camera, normal = self.camera - point, np.cross(right - left, down - up)
             camera_distance_m[anchor] = np.linalg.norm(to_camera)
             view_direction[anchor] = _unit(to_camera)
             cosine = _unit(normal) @ _unit(to_camera)
-            incidence[anchor] = abs(cosine)
             facing[anchor] = -np.copysign(1, cosine) * (_unit(normal) @ directions[anchor])
-            is_edge[anchor] = ends_across or ends_along
-        return AnchorSurfaces(facing, incidence, camera_distance_m, view_direction, is_edge)
+        return AnchorSurfaces(facing, camera_distance_m, view_direction)
 
     def _is_sparse(self, pixel: int) -> bool:
         return any(
@@ -170,8 +168,8 @@ class PlainPicture:
         """Neighbours along an axis of the picture, inside it."""
         return [p for p in (self._neighbour(pixel, axis, step) for step in (-1, 1)) if p != pixel]
 
-    def _to_border(self, pixel: int, axis: int) -> tuple[ArrayF64, ArrayF64, bool]:
-        """From a pixel's point to its borders before and after along an axis of the picture; whether one is an edge."""
+    def _to_border(self, pixel: int, axis: int) -> tuple[ArrayF64, ArrayF64]:
+        """From a pixel's point to its borders before and after along an axis of the picture."""
         line = [self._neighbour(pixel, axis, step) for step in range(-2, 3)]
         from_camera = self.points[line] - self.camera
         with np.errstate(all="ignore"):  # Of neighbours that do not count.
@@ -187,7 +185,6 @@ class PlainPicture:
         return (
             to_before if before else -to_after if after else nowhere,
             to_after if after else -to_before if before else nowhere,
-            not (before and after),
         )
 
     def _neighbour(self, pixel: int, axis: int, step: int) -> int:

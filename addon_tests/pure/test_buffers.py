@@ -32,8 +32,8 @@ def test_firing_moves_what_was_seen_into_the_persistent_cloud_and_starts_anew():
 
 def with_surfaces(cloud, rng):
     n, known = len(cloud), cloud.is_set
-    numbers = rng.random((6, n)) * known
-    surfaces = AnchorSurfaces(numbers[0], numbers[1], numbers[2], numbers[3:].T, (rng.random(n) < 0.5) & known)
+    numbers = rng.random((5, n)) * known
+    surfaces = AnchorSurfaces(numbers[0], numbers[1], numbers[2:].T)
     return UnitSphereCloud(cloud.srgb, cloud.distance_m, cloud.is_set, surfaces=surfaces)
 
 
@@ -47,7 +47,7 @@ def test_surfaces_go_with_their_anchors_and_are_unknown_where_nobody_looked(has_
     if not (has_old or has_new):
         assert merged.surfaces is None
         return
-    for name in ("facing", "incidence", "camera_distance_m", "view_direction", "is_edge"):
+    for name in ("facing", "camera_distance_m", "view_direction"):
         for anchor in range(N):
             source = (new if new.is_set[anchor] else old).surfaces
             expected = 0 if source is None else getattr(source, name)[anchor]

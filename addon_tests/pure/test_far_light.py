@@ -137,7 +137,7 @@ def test_far_light_is_sampled_as_by_the_plain_loop(seed):
     np.testing.assert_array_equal(fast.is_set, slow.is_set)
     np.testing.assert_allclose(fast.distance_m, slow.distance_m, rtol=1e-6)
     np.testing.assert_array_equal(fast.srgb, slow.srgb)
-    for name in ("facing", "incidence", "camera_distance_m", "view_direction"):
+    for name in ("facing", "camera_distance_m", "view_direction"):
         np.testing.assert_allclose(getattr(fast.surfaces, name), getattr(slow.surfaces, name), atol=2e-5)
     assert fast.invalid == slow.invalid
 

@@ -88,7 +88,7 @@ def seen_from(camera_m, srgb, distance_m=ROOM_M):
     to_camera = camera_m - LATTICE.directions * distance[:, None]
     lengths = np.linalg.norm(to_camera, axis=1)
     zeros = np.zeros(N, np.float32)
-    surfaces = AnchorSurfaces(zeros, zeros, lengths, to_camera / lengths[:, None], zeros > 0)
+    surfaces = AnchorSurfaces(zeros, lengths, to_camera / lengths[:, None])
     return UnitSphereCloud(np.broadcast_to(srgb, (N, 3)), distance, np.ones(N, bool), surfaces=surfaces)
 
 
@@ -164,7 +164,7 @@ def test_another_surface_behind_an_edge_is_not_asked():
 def test_surfaces_of_which_nothing_is_known_are_asked_as_ever():
     before, after = seen_from(NEAR, textured(0)), seen_from(FAR, textured(1))
     zeros = np.zeros(N, np.float32)
-    nothing = AnchorSurfaces(zeros, zeros, zeros, np.zeros((N, 3)), zeros > 0)
+    nothing = AnchorSurfaces(zeros, zeros, np.zeros((N, 3)))
     unknown = UnitSphereCloud(after.srgb, after.distance_m, after.is_set, surfaces=nothing)
     decision = decide_trigger(before, unknown, LATTICE, WALK)
     assert decision == decide_trigger(without_surfaces(before), without_surfaces(after), LATTICE, WALK)
