@@ -8,9 +8,9 @@ import pytest
 
 from addon_tests.pure.made import frame_of, random_cloud, with_facing
 from xihenet import estimators
-from xihenet.edge.batching import STEPS_TO_QUEUE, Batcher, Inference, Job, Light, QueueFull, estimate_together
+from xihenet.edge.batching import STEPS_TO_QUEUE, Batcher, Inference, Job, QueueFull, estimate_together
 from xihenet.estimators.base import EstimateContext, NotFinite
-from xihenet.records import UnitSphereCloud
+from xihenet.records import LightEstimate, UnitSphereCloud
 
 N = 512
 
@@ -71,6 +71,10 @@ def test_one_light_that_is_not_finite_does_not_spoil_the_others(inference):
     assert [light.unknown_because for light in lights] == ["", "estimate_not_finite", ""]
 
 
+def light_of(job):
+    return LightEstimate(np.full((9, 3), job.ambient[0]), 1.0, 0.0, "slow")
+
+
 class Slow:
     """Answers once it is let go; remembers the batches."""
 
@@ -80,7 +84,7 @@ class Slow:
     def __call__(self, jobs):
         assert self.go.wait(10)
         self.batches.append(len(jobs))
-        return [Light(np.full((9, 3), job.ambient[0])) for job in jobs]
+        return list(map(light_of, jobs))
 
 
 def job(number):
@@ -110,7 +114,7 @@ def test_in_the_event_loop_itself_what_has_arrived_is_one_batch():
 
     def lights_of(jobs):
         batches.append(len(jobs))
-        return [Light(np.full((9, 3), job.ambient[0])) for job in jobs]
+        return list(map(light_of, jobs))
 
     async def arriving(batcher, number):
         for _ in range(number % (STEPS_TO_QUEUE + 1)):
@@ -155,7 +159,7 @@ def test_a_fault_reaches_those_who_wait_and_the_queue_goes_on(in_thread):
     def broken(jobs):
         if jobs[0].ambient[0] == 0:
             raise RuntimeError("a fault of ours")
-        return [Light(np.zeros((9, 3))) for _ in jobs]
+        return list(map(light_of, jobs))
 
     async def run():
         batcher = Batcher(broken, in_thread=in_thread)

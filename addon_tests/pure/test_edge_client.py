@@ -22,14 +22,14 @@ from xihenet.backend import InferenceBackend, LocalBackend, NoAnswer, estimate_l
 from xihenet.camera import unproject_frame
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.edge import client
-from xihenet.edge.batching import Inference, Light
+from xihenet.edge.batching import Inference
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.edge.connection import EdgeRefused, Patience, PatientConnection, TryAgain
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
 from xihenet.phone.network import LINKS, arrival_frames
-from xihenet.records import Intrinsics, PointCloud, UnitSphereCloud
+from xihenet.records import Intrinsics, LightEstimate, PointCloud, UnitSphereCloud
 from xihenet.trigger import TriggerSettings
 
 pytestmark = NEEDS_TORNADO
@@ -355,7 +355,7 @@ class Theirs(Inference):
 
     def __call__(self, jobs):
         lights = zip(super().__call__(jobs), jobs, strict=True)
-        unknown = Light(np.zeros((9, 3)), None, "nothing_seen")
+        unknown = LightEstimate(np.zeros((9, 3)), 1.0, 0.0, "lattice", False, None, "nothing_seen")
         return [unknown if 0 < job.cloud.is_set.mean() < 0.5 else light for light, job in lights]
 
 

@@ -14,6 +14,7 @@ facing is not a facing of 0. An estimator without that method, or with a light s
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import time
 from collections import deque
@@ -24,9 +25,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from xihenet import estimators
+from xihenet.backend import Answer, LocalBackend, NoAnswer, answer_of, estimate_lights
 from xihenet.estimators.base import EstimateContext, Estimator, NotFinite, Target
 from xihenet.estimators.lattice import Lattice, lean_on_sensor
-from xihenet.records import ArrayF64, Intrinsics, RgbdFrame, UnitSphereCloud
+from xihenet.records import ArrayF64, Intrinsics, LightEstimate, RgbdFrame, UnitSphereCloud
 
 SENT = frozenset({"frame"})
 """Fields of `EstimateContext` that a request tells: of a frame the light sensor, all that estimators ask of it."""
@@ -48,15 +50,6 @@ class Job:
     cloud: UnitSphereCloud
     target: Target
     ambient: ArrayF64 | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Light:
-    """(9, 3) coefficients, and the SHC RMSE expected of them; where they cannot be known, 0 and the reason."""
-
-    sh_radiance: ArrayF64
-    expected_error: float | None = None
-    unknown_because: str = ""
 
 
 class QueueFull(Exception):
@@ -101,13 +94,13 @@ class Inference:
             put_on(estimator, self.device)
         return estimator
 
-    def __call__(self, jobs: Sequence[Job]) -> list[Light]:
+    def __call__(self, jobs: Sequence[Job]) -> list[LightEstimate]:
         """The light of each, in order; none keeps another from being answered."""
         groups: dict[tuple[int, Target, bool], list[int]] = {}
         for number, job in enumerate(jobs):
             key = len(job.cloud), job.target, job.cloud.surfaces is not None
             groups.setdefault(key, []).append(number)
-        lights: dict[int, Light] = {}
+        lights: dict[int, LightEstimate] = {}
         for (n_anchors, target, _), numbers in groups.items():
             estimator = self.estimator(n_anchors, target)
             answers = estimate_together(estimator, [jobs[number] for number in numbers])
@@ -115,44 +108,34 @@ class Inference:
         return [lights[number] for number in range(len(jobs))]
 
 
-def estimate_together(estimator: Estimator, jobs: Sequence[Job]) -> list[Light]:
+def estimate_together(estimator: Estimator, jobs: Sequence[Job]) -> list[LightEstimate]:
     """The lights of jobs whose clouds all have surfaces or all have none, equal to those that each has alone."""
     contexts = [_context_of(job) for job in jobs]
-    reasons = [estimator.unknown_because(job.cloud, context) for job, context in zip(jobs, contexts, strict=True)]
-    known = [number for number, reason in enumerate(reasons) if not reason]
-    lights = [Light(np.zeros((9, 3)), None, reason) for reason in reasons]
-    if isinstance(estimator, Lattice) and len(known) > 1:
-        try:
-            answers = _of_lattice(estimator, [jobs[number] for number in known])
-        except NotFinite:  # One of them spoils the batch, and nobody knows which.
-            answers = [_alone(estimator, jobs[number], contexts[number]) for number in known]
-    else:
-        answers = [_alone(estimator, jobs[number], contexts[number]) for number in known]
-    for number, light in zip(known, answers, strict=True):
-        lights[number] = light
-    return lights
+    return estimate_lights(_InOneBatch(estimator), [job.cloud for job in jobs], contexts, 1.0)
 
 
-def _of_lattice(estimator: Lattice, jobs: Sequence[Job]) -> list[Light]:
-    clouds = [job.cloud for job in jobs]
+class _InOneBatch(LocalBackend):
+    def estimate_together(
+        self, clouds: Sequence[UnitSphereCloud], contexts: Sequence[EstimateContext]
+    ) -> list[Answer | NoAnswer | NotFinite]:
+        if isinstance(self.estimator, Lattice):
+            with contextlib.suppress(NotFinite):  # One of them spoils the batch, and nobody knows which.
+                return _of_lattice(self.estimator, clouds, contexts)
+        return [answer_of(self, *one) for one in zip(clouds, contexts, strict=True)]
+
+
+def _of_lattice(
+    estimator: Lattice, clouds: Sequence[UnitSphereCloud], contexts: Sequence[EstimateContext]
+) -> list[Answer | NoAnswer | NotFinite]:
     facing = None if clouds[0].surfaces is None else np.stack([c.surfaces.facing for c in clouds if c.surfaces])
     srgb, distance_m = np.stack([c.srgb for c in clouds]), np.stack([c.distance_m for c in clouds])
     is_set = np.stack([c.is_set for c in clouds])
     sh_radiance, errors = estimator.estimate_batch_with_error(srgb, distance_m, is_set, facing=facing)
-    leaning = [number for number, job in enumerate(jobs) if job.ambient is not None]
-    for number in leaning:
-        sensed = estimator.sensed(clouds[number], _context_of(jobs[number]))
-        coverage = is_set[number].mean(keepdims=True)
-        sh_radiance[number] = lean_on_sensor(sh_radiance[number][None], coverage, sensed[None])[0]
-    return [Light(sh, float(error)) for sh, error in zip(sh_radiance, errors, strict=True)]
-
-
-def _alone(estimator: Estimator, job: Job, context: EstimateContext) -> Light:
-    try:
-        sh_radiance, error = estimator.estimate_with_error(job.cloud, context)
-    except NotFinite:
-        return Light(np.zeros((9, 3)), None, "estimate_not_finite")
-    return Light(sh_radiance, error)
+    for number, (cloud, context) in enumerate(zip(clouds, contexts, strict=True)):
+        if context.frame is not None:
+            sensed, coverage = estimator.sensed(cloud, context), is_set[number].mean(keepdims=True)
+            sh_radiance[number] = lean_on_sensor(sh_radiance[number][None], coverage, sensed[None])[0]
+    return list(zip(sh_radiance, errors.tolist(), strict=True))
 
 
 def _context_of(job: Job) -> EstimateContext:
@@ -167,7 +150,7 @@ def _context_of(job: Job) -> EstimateContext:
 class Answered:
     """A light, how long its request waited, how long the inference of its batch took, and how many were in it."""
 
-    light: Light
+    light: LightEstimate
     waited_s: float
     inference_s: float
     batch_size: int
@@ -229,7 +212,7 @@ class Batcher:
             if not answer.done():
                 answer.set_result(Answered(light, start - asked_s, took_s, len(batch)))
 
-    async def _lights(self, jobs: list[Job]) -> list[Light]:
+    async def _lights(self, jobs: list[Job]) -> list[LightEstimate]:
         if self._thread is None:
             return self._inference(jobs)
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._inference, jobs)

@@ -14,6 +14,7 @@ after that estimates fail at once, so that a lost server does not hold up every 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import ssl
@@ -54,8 +55,6 @@ class EdgeBackend:
     ValueError for a URL that is none.
     """
 
-    needs: frozenset[str] = frozenset()
-
     def __init__(
         self,
         url: str,
@@ -69,7 +68,9 @@ class EdgeBackend:
     ) -> None:
         self.n_anchors, self.target, self.method = n_anchors, target, method
         self.connection = PatientConnection(url, patience or Patience(), bearer, tls)
-        self._bearer, self._tls = bearer, tls
+        self._like_this = functools.partial(
+            EdgeBackend, url, n_anchors, target, method=method, patience=patience, bearer=bearer, tls=tls
+        )
         self._beside: list[EdgeBackend] = []
         """Others of its kind, for estimates that are asked for at the same time."""
         self._lock = threading.Lock()
@@ -129,15 +130,7 @@ class EdgeBackend:
     def _another(self) -> EdgeBackend | None:
         """A backend like this one; None while the server does not answer, or has no room for more sessions."""
         with contextlib.suppress(NoAnswer):
-            return EdgeBackend(
-                self.connection.url,
-                self.n_anchors,
-                self.target,
-                method=self.method,
-                patience=self.connection.patience,
-                bearer=self._bearer,
-                tls=self._tls,
-            )
+            return self._like_this()
         return None
 
     def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from xihenet.edge.axes import vector_in
-from xihenet.edge.batching import Light
 from xihenet.light.key_light import split_light
 from xihenet.light.reflections import fill_reflections
-from xihenet.records import KeyLight, ObjectLight, Reflections, UnitSphereCloud
+from xihenet.records import KeyLight, LightEstimate, ObjectLight, Reflections, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
 
@@ -26,7 +25,7 @@ class Wishes:
 
 
 def extras_of(
-    light: Light, cloud: UnitSphereCloud, before: KeyLight | None, wishes: Wishes
+    light: LightEstimate, cloud: UnitSphereCloud, before: KeyLight | None, wishes: Wishes
 ) -> tuple[KeyLight | None, Reflections | None]:
     """The key light, and reflections if they are wished for; `before` is the key light of the answer before."""
     lattice = AnchorLattice(len(cloud))

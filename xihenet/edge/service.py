@@ -19,7 +19,6 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 
 from xihenet.buffers import merge
-from xihenet.completeness import coverage
 from xihenet.edge.axes import coefficients_in
 from xihenet.edge.batching import Answered, Batcher, Inference, Job, QueueFull
 from xihenet.edge.extras import Wishes, extras_of, format_extras
@@ -154,15 +153,15 @@ class EdgeService:
             "coefficients": coefficients_in(light.sh_radiance, sent.axes),
             "exposure": seen.exposure,
             "expected_error": light.expected_error,
-            "coverage": coverage(cloud),
-            "is_valid": not light.unknown_because,
+            "coverage": light.coverage,
+            "is_valid": light.is_valid,
             "unknown_because": light.unknown_because,
             "estimator": self.inference.name,
             "target": session.target,
             "axes": sent.axes,
             "n_shared_anchors": int(np.count_nonzero(cloud.is_set & ~seen.cloud.is_set)),
         }
-        if not light.unknown_because and (wishes.has_key_light or wishes.has_reflections):
+        if light.is_valid and (wishes.has_key_light or wishes.has_reflections):
             key, reflections = await self._extra(lambda: extras_of(light, cloud, seen.key, wishes))
             self._remember_key(session, name, key)
             answer |= format_extras(key, reflections, sent.axes, wishes)
