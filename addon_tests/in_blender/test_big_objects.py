@@ -1,10 +1,10 @@
 """An object that is bigger than one position can stand for is lit at each of its positions."""
 
 import numpy as np
+from renders import captured
 from tiny_scenes import box, empty_scene, material, phone, set_world
 
 from xihe_blender.capture.render import RenderSettings
-from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import open_comparer
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -28,15 +28,12 @@ def test_a_long_board_is_lit_at_its_ends_as_the_positions_there_are():
     assert len(places) == 3
     each = {str(k): even([0.1 * k, 0.05, 0.2 - 0.1 * k]) for k in range(3)}
     mean = mean_light(list(each.values()))
-    with open_scanner(scene, SETTINGS) as scanner:
-        scanner.move_to(1)
-        captured = scanner.acquire_environment_scan()
     lights = {
         "mean": {"Board": mean},
         "each": {"Board": with_positions(mean, dict(zip(each, places, strict=True)), each)},
     }
     with open_comparer(scene, [board], list(lights), SETTINGS) as comparer:
-        passes = comparer.render_layers(captured, lights).layers
+        passes = comparer.render_layers(captured(scene), lights).layers
         shown = {
             method: np.stack([passes[comparer.layers[method, "Board"]][f"Combined.{c}"] for c in "RGB"], axis=-1)
             for method in lights

@@ -47,10 +47,9 @@ def test_a_budget_that_cannot_be_measured_leaves_no_folder(tmp_path):
 
 
 def test_bars_are_shares_of_the_error_and_the_largest_comes_first():
-    gains = {"clipping": 0.3, "network": -0.1, "order_2": 0.1}
-    parts = [BudgetPart(name=name, state="measured", error=0.5 - gain, gain=gain) for name, gain in gains.items()]
-    parts.append(BudgetPart(name="delay", state="not simulated", error=0.5, gain=0.0))
-    item = ObjectBudget(name="Ball", moments=(1,), brightness=1.0, error=0.5, parts=tuple(parts))
+    item = item_of(clipping=0.3, network=-0.1, order_2=0.1)
+    not_simulated = BudgetPart(name="delay", state="not simulated", error=0.5, gain=0.0)
+    item = replace(item, parts=(*item.parts, not_simulated))
     labels = [PARTS[name].label for name in ("clipping", "order_2", "network")]
     assert budget_rows(item) == list(zip(labels, [0.6, 0.2, 0.0], ["60% off", "20% off", "20% more"], strict=True))
     assert PARTS["clipping"].perfect in item.advice and "from 50 % to 20 %" in item.advice
@@ -87,14 +86,11 @@ def test_a_part_that_may_help_or_harm_has_no_place_in_the_order():
 
 
 def test_an_object_that_nothing_would_help_is_told():
-    parts = (BudgetPart(name="network", state="measured", error=0.499, gain=0.001),)
-    item = ObjectBudget(name="Ball", moments=(1,), brightness=1.0, error=0.5, parts=parts)
-    assert item.advice.startswith("No single part would help Ball much")
+    assert item_of(network=0.001).advice.startswith("No single part would help Ball much")
     assert "never in view" in ObjectBudget(name="Ball", moments=()).advice
 
 
 def test_an_object_in_the_dark_is_told_so_and_has_no_bars():
-    parts = (BudgetPart(name="network", state="measured", error=0.0, gain=0.0, interval=(0.0, 0.0)),)
-    item = ObjectBudget(name="Ball", moments=(1,), brightness=0.0, error=0.0, parts=parts)
+    item = replace(item_of(network=(0.0, 0.0)), brightness=0.0, error=0.0)
     assert item.advice == "No light reaches Ball, so that its light has no error to divide."
     assert budget_rows(item) == [] and _of_object(item) == f"<p>{item.advice}</p>"

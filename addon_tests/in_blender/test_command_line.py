@@ -12,7 +12,7 @@ import bpy
 import pytest
 from previs_runs import N_FRAMES, QuickProbes, files_below, unfinished_files, walk
 from results_schema import check_results, read_strictly, without_times
-from tiny_scenes import saved
+from tiny_scenes import geometry_nodes, saved
 from xihe_process import ROOT, said, typed, xihe
 
 from addon_tests.pure.commands import assert_refused, xihe_here
@@ -156,11 +156,10 @@ def test_version_and_help_are_no_errors():
 def test_a_process_ends_as_it_should_after_a_scene_whose_nodes_import_a_file(tmp_path):
     (tmp_path / "vase.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     scene = walk(2)
-    tree = bpy.data.node_groups.new("Import", "GeometryNodeTree")
-    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    node, end = tree.nodes.new("GeometryNodeImportOBJ"), tree.nodes.new("NodeGroupOutput")
+    tree, _, end = geometry_nodes()
+    node = tree.nodes.new("GeometryNodeImportOBJ")
     node.inputs["Path"].default_value = "//vase.obj"
-    tree.links.new(node.outputs[0], end.inputs[0])
+    tree.links.new(node.outputs[0], end)
     scene.objects["Table"].modifiers.new("Import", "NODES").node_group = tree
     limit = bpy.context.preferences.system.memory_cache_limit
     done = xihe("effects", saved(tmp_path / "walk.blend"), "--plan-only")

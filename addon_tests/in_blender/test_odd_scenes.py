@@ -13,6 +13,7 @@ from tiny_scenes import (
     add_lamp,
     box,
     empty_scene,
+    geometry_nodes,
     linked,
     opened,
     phone,
@@ -352,21 +353,19 @@ def test_physics_that_is_not_baked_and_stretched_time_are_named():
 
 def drifting(item):
     """`item` with a simulation zone that moves it by a metre in each frame, in a group within its geometry nodes."""
-    zone, outer = (bpy.data.node_groups.new(name, "GeometryNodeTree") for name in ("Drift", "Outer"))
-    for tree, direction in ((zone, "INPUT"), (zone, "OUTPUT"), (outer, "INPUT"), (outer, "OUTPUT")):
-        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    (zone, zone_start, zone_end), (outer, start, end) = geometry_nodes(), geometry_nodes()
     first, last = (zone.nodes.new(f"GeometryNodeSimulation{end}") for end in ("Input", "Output"))
     first.pair_with_output(last)
     step = zone.nodes.new("GeometryNodeSetPosition")
     step.inputs["Offset"].default_value = (1, 0, 0)
-    zone.links.new(zone.nodes.new("NodeGroupInput").outputs[0], first.inputs[0])
+    zone.links.new(zone_start, first.inputs[0])
     zone.links.new(first.outputs["Geometry"], step.inputs[0])
     zone.links.new(step.outputs[0], last.inputs["Geometry"])
-    zone.links.new(last.outputs[0], zone.nodes.new("NodeGroupOutput").inputs[0])
+    zone.links.new(last.outputs[0], zone_end)
     group = outer.nodes.new("GeometryNodeGroup")
     group.node_tree = zone
-    outer.links.new(outer.nodes.new("NodeGroupInput").outputs[0], group.inputs[0])
-    outer.links.new(group.outputs[0], outer.nodes.new("NodeGroupOutput").inputs[0])
+    outer.links.new(start, group.inputs[0])
+    outer.links.new(group.outputs[0], end)
     modifier = item.modifiers.new("Drift", "NODES")
     modifier.node_group = outer
     return modifier
