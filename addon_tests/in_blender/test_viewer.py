@@ -7,6 +7,8 @@ import base64
 import json
 import re
 import shutil
+import subprocess
+import tempfile
 import zlib
 
 import bpy
@@ -17,13 +19,14 @@ from previs_runs import walk
 from tiny_scenes import box, empty_scene, linked, saved
 
 from addon_tests.pure.commands import assert_refused, xihe_here
-from xihe_blender.addon.result_operators import viewer_of_run
+from xihe_blender.addon.result_operators import second_blender
 from xihe_blender.apply.datablocks import LightOf, applied_worlds
 from xihe_blender.apply.sh_worlds import key_light_changes
 from xihe_blender.cli.main import main
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import read_results
+from xihe_blender.jobs import run_blocking
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.viewer.gltf import viewed_objects
@@ -200,10 +203,22 @@ def test_the_button_writes_the_same_page_and_leaves_the_open_file_alone(done):
     walk()
     chosen = [item.name for item in bpy.context.selected_objects]
     (folder / "viewer.html").unlink()
-    assert viewer_of_run(folder).read_text(encoding="utf-8") == page
+    run_blocking(second_blender(["export", "--to", "viewer", str(folder)], "saving"))
+    assert (folder / "viewer.html").read_text(encoding="utf-8") == page
     assert [item.name for item in bpy.context.selected_objects] == chosen
     with pytest.raises(UserError, match="cannot be read"):
-        viewer_of_run(folder / "nowhere")
+        run_blocking(second_blender(["export", "--to", "viewer", str(folder / "nowhere")], "saving"))
+
+
+def test_a_button_that_is_stopped_ends_what_it_started_and_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    started, popen = [], subprocess.Popen
+    monkeypatch.setattr(subprocess, "Popen", lambda *given, **how: started.append(popen(*given, **how)) or started[-1])
+    job = second_blender(["video", str(tmp_path / "run")], "saving the video")
+    assert next(job).doing == "saving the video"
+    job.close()
+    assert started[0].returncode is not None
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_button_exports_what_the_command_does(done, tmp_path):

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import tempfile
+import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
 
 from xihe_blender.addon import choices, polls
-from xihe_blender.addon.failures import FAILURES, Action, format_error
+from xihe_blender.addon.failures import FAILURES, Action, failed, format_error
+from xihe_blender.addon.modal_job import TICK_S, ModalJob
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.apply.datablocks import COMPARISON_NAME, LightOf, applied_worlds, image_named
 from xihe_blender.errors import UserError
+from xihe_blender.jobs import Job, Progress, run_blocking
 
 
 class XIHE_OT_explain(Action, bpy.types.Operator):
@@ -86,39 +92,66 @@ class XIHE_OT_show_comparison(Action, bpy.types.Operator):
             _show_in_editor(context, image_named(COMPARISON_NAME))
 
 
-class XIHE_OT_save_side_by_side(Action, bpy.types.Operator):
+class Saving(polls.Conditional, ModalJob):
+    """Base of operators that have a second Blender write a file of the run's folder: exporting glTF changes what is
+    selected, and rendering a video blocks the window."""
+
+    bl_options = {"REGISTER"}
+    works_here = False
+    cancelled = "Nothing was saved"
+    command: tuple[str, ...]
+    """Of `xihe`; the run's folder comes behind it."""
+
+    file_name: str
+    doing: str
+
+    def start_job(self, context: bpy.types.Context) -> Job[None]:
+        folder = last_run_folder(context.scene)
+        self.path = folder / self.file_name
+        return second_blender([*self.command, str(folder)], self.doing)
+
+    def finish(self, context: bpy.types.Context, result: None) -> set[str]:
+        context.window_manager.xihe.error = ""
+        self.report({"INFO"}, f"Saved {self.path}")
+        return {"FINISHED"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        # The panel has one bar: beside a run that it shows, the window waits.
+        return self.execute(context) if context.window_manager.xihe.is_running else super().invoke(context, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            run_blocking(self.start_job(context), lambda *_: time.sleep(TICK_S))
+        except FAILURES as error:
+            return failed(self, context, error)
+        return self.finish(context, None)
+
+
+class XIHE_OT_save_side_by_side(Saving, bpy.types.Operator):
     bl_idname = "xihe.save_side_by_side"
     bl_label = "Save Video"
     bl_description = (
         "Write a video, and a picture of each compared frame, into the run's folder: what the phone captured, ground "
         "truth, estimate, and a line that wipes from one to the other"
     )
-    bl_options = {"REGISTER"}
     conditions = (polls.leaves_the_file, polls.has_last_run, polls.has_comparison)
-
-    def act(self, context: bpy.types.Context) -> str:
-        from xihe_blender.compare.side_by_side import save_side_by_side
-        from xihe_blender.io.run_results import read_results
-
-        folder = last_run_folder(context.scene)
-        return f"Saved {save_side_by_side(read_results(folder), folder)}"
+    command, file_name, doing = ("video",), "side_by_side.mp4", "saving the video"
 
 
-class XIHE_OT_save_viewer(Action, bpy.types.Operator):
+class XIHE_OT_save_viewer(Saving, bpy.types.Operator):
     bl_idname = "xihe.save_viewer"
     bl_label = "Save Viewer"
     bl_description = (
         "Write one HTML page into the run's folder, to be sent to others, and open it: the virtual objects live in the "
         "captured pictures, the timeline, and a line that wipes to the ground truth"
     )
-    bl_options = {"REGISTER"}
     conditions = (polls.leaves_the_file, polls.has_last_run)
+    command, file_name, doing = ("export", "--to", "viewer"), "viewer.html", "saving the viewer"
 
-    def act(self, context: bpy.types.Context) -> str:
-        page = viewer_of_run(last_run_folder(context.scene))
+    def finish(self, context: bpy.types.Context, result: None) -> set[str]:
         if not bpy.app.background:
-            bpy.ops.wm.url_open(url=page.resolve().as_uri())
-        return f"Saved {page}"
+            bpy.ops.wm.url_open(url=self.path.resolve().as_uri())
+        return super().finish(context, result)
 
 
 class XIHE_OT_export_light(Action, bpy.types.Operator):
@@ -151,8 +184,8 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
         return f"Saved {write_lights(lights, self.target, folder / 'exports' / self.target)[-1].parent}"
 
 
-def viewer_of_run(folder: Path) -> Path:
-    """The viewer's page, written by a second Blender: exporting glTF would change what is selected in this one.
+def second_blender(arguments: Sequence[str], doing: str) -> Job[None]:
+    """A job: `xihe` with `arguments`, in a Blender of its own, which ends when this is closed.
 
     UserError with what it says, where it cannot.
     """
@@ -160,17 +193,29 @@ def viewer_of_run(folder: Path) -> Path:
     code = (
         f"import sys; sys.path[:0] = {paths!r}\n"
         "from xihe_blender.cli.main import main\n"
-        f"sys.exit(main(['export', {str(folder)!r}, '--to', 'viewer']))"
+        f"sys.exit(main({list(arguments)!r}))"
     )
     program = [bpy.app.binary_path, "--background", "--factory-startup", "--python-expr", code]
-    done = subprocess.run(
-        program if bpy.app.binary_path else [sys.executable, "-c", code],
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, encoding="utf-8", errors="replace", check=False,
-    )  # fmt: skip
-    if done.returncode != 0:
-        said = [line.removeprefix("xihe: ") for line in done.stderr.splitlines() if line.startswith("xihe: ")]
-        raise UserError(said[-1] if said else f"the viewer was not written (exit code {done.returncode})")
-    return folder / "viewer.html"
+    # Whatever it leaves in a folder for temporary files goes with that.
+    with tempfile.TemporaryDirectory(prefix="xihe_", ignore_cleanup_errors=True) as temporary:
+        console = Path(temporary) / "console.txt"
+        with console.open("wb") as stderr:
+            process = subprocess.Popen(
+                program if bpy.app.binary_path else [sys.executable, "-c", code],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr,
+                env=os.environ | {"TMPDIR": temporary},
+            )  # fmt: skip
+        try:
+            yield Progress(0, 1, doing)
+            while process.poll() is None:
+                yield Progress(0, 1, doing)
+        finally:
+            process.kill()
+            process.wait()
+        lines = console.read_text(encoding="utf-8", errors="replace").splitlines()
+    if process.returncode != 0:
+        said = [line.removeprefix("xihe: ") for line in lines if line.startswith("xihe: ")]
+        raise UserError(said[-1] if said else f"nothing was saved (exit code {process.returncode})")
 
 
 class XIHE_OT_open_report(Action, bpy.types.Operator):

@@ -64,7 +64,9 @@ def test_the_comparison_begins_on_the_object(first_success):
 
 
 def test_a_video_of_the_run_is_saved_by_a_click(first_success):
-    assert first_success.facts["saved"] == ["side_by_side.mp4"]
+    facts = first_success.facts
+    assert facts["saved"] == ["side_by_side.mp4"] and facts["saving"] == "saving the video"
+    assert facts["save_freeze_s"] < 2 * LONGEST_FREEZE_S
 
 
 def test_undo_takes_the_applied_light_back_and_redo_brings_it_again(first_success):

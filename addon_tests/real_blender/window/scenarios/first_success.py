@@ -167,9 +167,12 @@ def see_the_comparison(w):
     yield from w.wait_until(lambda: shown["xihe_frame"] != before, "the comparison follows", at_most_s=20)
     yield 1
     yield from w.picture("6_wiped")
-    yield from w.click_on("xihe.save_side_by_side", across=0.3)
-    yield 2
     folder = pathlib.Path(bpy.context.scene.xihe.run_folder)
+    job, heart = bpy.context.window_manager.xihe, Heartbeat()
+    yield from w.click_on("xihe.save_side_by_side", across=0.3)
+    w.facts["saving"] = job.doing
+    yield from w.wait_until(lambda: not job.is_running, "the video is saved")
+    w.facts["save_freeze_s"] = heart.stop()
     w.facts["saved"] = sorted(file.name for file in folder.glob("*.mp4"))
 
 
