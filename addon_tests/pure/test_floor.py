@@ -78,10 +78,11 @@ def test_without_a_floor_in_sight_the_usual_axis_is_taken_and_said(tmp_path):
 
 @PACKED
 @pytest.mark.parametrize("pitch", [-0.6, -0.2])
-def test_the_first_camera_of_record3d_need_not_be_upright(tmp_path, pitch):
+@pytest.mark.parametrize("start", [None, [0, 0, 0, 1, 0, 0, 0]])
+def test_the_first_camera_of_record3d_need_not_be_upright(tmp_path, pitch, start):
     frames = looking_down(SMALL, pitch=pitch)
     path = as_record3d(tmp_path / "older", frames)
-    metadata(initPose=None)(path)
+    metadata(initPose=start)(path)
     capture = open_capture(path)
     assert off_degrees(capture, frames) < 1
     assert any("degrees from +Y" in note and "Up is the normal" in note for note in capture.notes)

@@ -1,8 +1,8 @@
 """Recordings of the app Record3D: one .r3d file, a zip of `metadata` and of rgbd/N.jpg, N.depth and N.conf.
 
 Poses are camera to world as quaternion and place, the camera looks along -Z with +Y up. They begin at the first
-camera; `initPose` is where that one was in ARKit's world, which has +Y up. Without it up is not known: the floor is
-looked for. K, column by column, and the intrinsics of each frame are for the colour's size. Depth is float32 in metres
+camera; `initPose` is where that one was in ARKit's world, which has +Y up. Without it, and where it turns nothing, as
+the app itself was seen to write it, up is not known: the floor is looked for. K, column by column, and the intrinsics of each frame are for the colour's size. Depth is float32 in metres
 and confidence 0, 1, 2, both packed by LZFSE, row by row; depth lies as the colour does, upright or not. Only captures
 with LiDAR have poses; one with a number that is not finite is of a moment at which tracking was lost, as good as none.
 """
@@ -33,6 +33,7 @@ NAME = re.compile(r"rgbd/(\d{1,9})\.depth")
 MOST_METADATA, MOST_PICTURE = 2**26, 2**26  # Bytes; an hour at 60 frames a second has 50 MB of metadata
 PACKED_SLACK = 2**16  # Bytes by which what cannot be packed may grow
 USUAL_FPS = 60.0
+LEVEL = 1e-4  # No hand holds a camera so nearly along the axes of the world: these are the camera's own
 
 
 def is_in(path: Path) -> bool:
@@ -52,6 +53,8 @@ def read(path: Path, up: str | None) -> Capture:
         start = np.eye(4)
         if (first := content.get("initPose")) is not None:
             start = _pose(numbers(first, 7, "initPose"))
+        begin = start @ next((pose for pose in poses if pose is not None), np.eye(4))
+        knows_up = first is not None and not np.allclose(begin[:3, :3], np.eye(3), atol=LEVEL)
         assumed = up or "y"
         cameras = [
             None if pose is None else frame_camera(intrinsics_of(*size, one), (start @ pose).tolist(), up=assumed)
@@ -79,7 +82,7 @@ def read(path: Path, up: str | None) -> Capture:
     if any(are_sure):
         notes += without_confidence(are_sure)
     capture = Capture("Record3D", frames, BLENDER_FROM_UP[assumed], notes)
-    return capture if up is not None or first is not None else upright(capture, assumed)
+    return capture if up is not None or knows_up else upright(capture, assumed)
 
 
 def _metadata(archive: Archive) -> dict[str, Any]:
