@@ -15,9 +15,10 @@ from xihe_blender.addon.error_budget import XIHE_OT_measure_budget
 from xihe_blender.addon.planning_operators import XIHE_OT_measure_run
 from xihe_blender.addon.run_settings import previs_settings
 from xihe_blender.errors import UserError
-from xihe_blender.io.run_results import read_results
+from xihe_blender.io.run_results import RecordingResult, read_results
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.settings import load_estimators
+from xihe_blender.previs.results_notes import recorded_notes
+from xihe_blender.previs.settings import close_backends, load_estimators
 from xihenet.edge.batching import Inference
 from xihenet.metrics import shc_rmse
 
@@ -47,6 +48,16 @@ def test_a_run_over_the_service_is_the_local_one(tmp_path):
 def test_a_service_that_estimates_otherwise_is_a_mistake_of_the_users():
     with EdgeServer() as server, pytest.raises(UserError, match=r"--backend: .* give --estimator projection"):
         load_estimators(replace(SMALL, backend=f"http://127.0.0.1:{server.port}"))
+
+
+def test_a_run_on_a_recording_says_too_which_edge_service_estimated():
+    with EdgeServer() as server:
+        settings = replace(SMALL, estimator="projection", light="sh", backend=f"http://127.0.0.1:{server.port}")
+        (backend,) = load_estimators(settings)
+        run = SimpleNamespace(estimator=backend, settings=settings, survey=SimpleNamespace(faults=()))
+        told = list(recorded_notes(run, [], RecordingResult(name="walk", format="TUM RGB-D", said="3 frames")))
+        close_backends([backend])
+    assert any(f"Estimates came from an edge service: projection at {settings.backend}" in note for note in told)
 
 
 @pytest.fixture

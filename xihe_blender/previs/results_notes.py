@@ -70,6 +70,7 @@ def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: R
     """Of a run on a recording, of which nothing was rendered but the objects."""
     yield recording.said
     yield from recording.notes
+    yield from backend_notes(run)
     yield "Pictures are the recording's, with the virtual objects over them; how far those are right is not measured."
     if run.settings.has_key_light:
         yield "Objects are lit by the key light of each light as a sun, and by the rest as spherical harmonics."
