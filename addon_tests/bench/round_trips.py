@@ -79,7 +79,7 @@ def main() -> None:
     frames = list(ours)
     first = steps(frames, ours, at_m, ours.reference_exposure)
     print(
-        "| layout | pixels too far | depth off by, mm | steps that trigger alike | light off by, mean | median "
+        "| layout | pixels without depth | depth off by, mm | steps that trigger alike | light off by, mean | median "
         "| off from rounded depth, mean | median |\n|" + " --- |" * 8
     )
     longer = [replace(frame, plane_depth_m=frame.plane_depth_m * np.float32(1.0001)) for frame in frames]
@@ -88,7 +88,7 @@ def main() -> None:
     for layout, form in LAYOUTS:
         with tempfile.TemporaryDirectory() as beside:
             path = Path(beside) / ("recording.r3d" if layout == "record3d" else "recording")
-            n_too_far = WRITERS[layout](path, frames, form).n_too_far
+            n_unheld = WRITERS[layout](path, frames, form).n_unheld
             theirs = open_capture(path)
             read = list(theirs)
         off_mm = 1e3 * max(
@@ -102,7 +102,7 @@ def main() -> None:
         name = f"{layout}{', JPEG' if form.is_jpeg else ''}"
         name += f", colour {WIDE} times as wide" if form.colour_scale > 1 else ""
         print(
-            f"| {name} | {n_too_far} | {off_mm:.2f} | {steps_alike(first, again)} | {difference(first, again, gain)} "
+            f"| {name} | {n_unheld} | {off_mm:.2f} | {steps_alike(first, again)} | {difference(first, again, gain)} "
             f"| {difference(of_rounded, again, gain)} |",
             flush=True,
         )

@@ -126,8 +126,12 @@ def test_intrinsics_may_change_from_frame_to_frame(tmp_path):
 def test_depth_that_a_layout_cannot_hold_is_counted_and_left_out(tmp_path):
     far = [replace(f, plane_depth_m=f.plane_depth_m * np.linspace(1, 60, 64)) for f in walk(SMALL, 1)]
     n_far = int((far[0].plane_depth_m > 65.5345).sum())
-    assert nerfstudio.write(tmp_path, far).n_too_far == n_far > 0
+    assert nerfstudio.write(tmp_path, far).n_unheld == n_far > 0
     assert next(iter(open_capture(tmp_path))).invalid == {"no_distance": n_far}
+    near = [replace(f, plane_depth_m=f.plane_depth_m * np.where(np.arange(64) < 5, 1e-4, 1)) for f in walk(SMALL, 1)]
+    n_near = int((near[0].plane_depth_m < 5e-4).sum())
+    assert nerfstudio.write(tmp_path, near).n_unheld == n_near > 0
+    assert next(iter(open_capture(tmp_path))).invalid == {"no_distance": n_near}
 
 
 @pytest.mark.parametrize("name", [pytest.param("record3d", marks=PACKED), pytest.param("stray", marks=VIDEO)])

@@ -132,8 +132,8 @@ def _write(out: Path, frames: Iterator[RgbdFrame], run: PreparedRun, layout: str
     except (ImportError, ValueError) as error:
         raise UserError(f"--as {layout}: {error}") from error
     said = [f"{format_count(written.n_frames, 'frame')} in {path}"]
-    if written.n_too_far:
-        said.append(f"{written.n_too_far} pixels were too far for this layout and have no depth")
+    if written.n_unheld:
+        said.append(f"{written.n_unheld} pixels are too far or too near for this layout and have no depth")
     return said
 
 

@@ -16,14 +16,14 @@ UNITS_PER_METRE = 1000
 
 def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Written:
     """Pictures by the number of their frame, and transforms.json at the end. OSError if it cannot be written."""
-    suffix, entries, n_too_far = ".jpg" if form.is_jpeg else ".png", [], 0
+    suffix, entries, n_unheld = ".jpg" if form.is_jpeg else ".png", [], 0
     first: dict[str, Any] = {}
     for frame in frames:
         names = f"images/{frame.frame}{suffix}", f"depth/{frame.frame}.png"
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True, parents=True)
         (folder / names[0]).write_bytes(colour_bytes(frame, form))
-        n_too_far += save_depth(folder / names[1], frame, UNITS_PER_METRE)
+        n_unheld += save_depth(folder / names[1], frame, UNITS_PER_METRE)
         k = _intrinsics(enlarged_intrinsics(frame.intrinsics, form.colour_scale))
         first = first or k
         pose = frame.world_from_camera.tolist()
@@ -32,7 +32,7 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
     content = json.dumps({**first, "frames": entries}, allow_nan=False)
     folder.mkdir(exist_ok=True, parents=True)
     (folder / FILE).write_text(content, encoding="utf-8")
-    return Written(len(entries), n_too_far)
+    return Written(len(entries), n_unheld)
 
 
 def _intrinsics(k: Intrinsics) -> dict[str, float]:

@@ -40,7 +40,7 @@ class Written:
     """What was written."""
 
     n_frames: int
-    n_too_far: int = 0  # Pixels whose depth the layout cannot hold; they have none in the file
+    n_unheld: int = 0  # Pixels whose depth the layout cannot hold; they have none in the file
 
 
 def pillow() -> Any:
@@ -74,12 +74,12 @@ def colour_bytes(frame: RgbdFrame, form: Form) -> bytes:
 
 
 def save_depth(path: Path, frame: RgbdFrame, units_per_metre: float) -> int:
-    """Write a grey image of 16 bits, 0 where there is no depth; and how many pixels are too far for it."""
+    """Write a grey image of 16 bits, 0 where there is no depth; and how many pixels are too far or too near for it."""
     valid = valid_plane_depth(frame.plane_depth_m)
     units = np.rint(np.where(valid, frame.plane_depth_m, 0).astype(np.float64) * units_per_metre)
-    is_too_far = units > LARGEST_IN_16_BITS
-    pillow().fromarray(np.where(is_too_far, 0, units).astype(np.uint16)).save(path, compress_level=1)
-    return int(np.count_nonzero(is_too_far))
+    fits = (units >= 1) & (units <= LARGEST_IN_16_BITS)
+    pillow().fromarray(np.where(fits, units, 0).astype(np.uint16)).save(path, compress_level=1)
+    return int(np.count_nonzero(valid & ~fits))
 
 
 def confidence_of(frame: RgbdFrame) -> ArrayU8:

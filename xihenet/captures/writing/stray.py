@@ -47,13 +47,13 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
     """
     for name in ("depth", "confidence"):
         (folder / name).mkdir(exist_ok=True, parents=True)
-    n, n_too_far, k = 0, 0, None
+    n, n_unheld, k = 0, 0, None
     with _video(folder / VIDEO) as encode, (folder / ODOMETRY).open("w", encoding="utf-8") as odometry:
         odometry.write(", ".join(COLUMNS + INTRINSICS) + "\n")
         for n, frame in enumerate(frames, start=1):
             number = f"{n - 1:06d}"
             encode(enlarged(frame.srgb_u8, form.colour_scale))
-            n_too_far += save_depth(folder / "depth" / f"{number}.png", frame, UNITS_PER_METRE)
+            n_unheld += save_depth(folder / "depth" / f"{number}.png", frame, UNITS_PER_METRE)
             pillow().fromarray(confidence_of(frame)).save(folder / "confidence" / f"{number}.png")
             pose = in_y_up(frame.world_from_camera) @ OPENCV_FROM_BLENDER_CAMERA
             k = enlarged_intrinsics(frame.intrinsics, form.colour_scale)
@@ -65,7 +65,7 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
     rows = np.array([[k.fx, 0, k.cx], [0, k.fy, k.cy], [0, 0, 1]])
     text = "".join(", ".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
     (folder / MATRIX).write_text(text, encoding="utf-8")
-    return Written(n, n_too_far)
+    return Written(n, n_unheld)
 
 
 @contextmanager

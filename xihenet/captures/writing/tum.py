@@ -27,7 +27,7 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
     ValueError for intrinsics that change, and for times that do not rise.
     """
     lists: dict[str, list[str]] = {name: ["# timestamp and what it has"] for name in FILES}
-    last_s, n_too_far, camera = -np.inf, 0, None
+    last_s, n_unheld, camera = -np.inf, 0, None
     for frame in frames:
         camera = camera or frame.intrinsics
         if frame.intrinsics != camera:
@@ -39,7 +39,7 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True, parents=True)
         (folder / names[0]).write_bytes(colour_bytes(frame, form))
-        n_too_far += save_depth(folder / names[1], frame, 1 / METRES_PER_UNIT)
+        n_unheld += save_depth(folder / names[1], frame, 1 / METRES_PER_UNIT)
         pose = frame.world_from_camera @ OPENCV_FROM_BLENDER_CAMERA
         values = (*pose[:3, 3], *quaternion_of(pose[:3, :3]))
         for file, said in zip(FILES, (*names, " ".join(f"{value:.9f}" for value in values)), strict=True):
@@ -50,7 +50,7 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
         (folder / CAMERA).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     for file, lines in lists.items():
         (folder / file).write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return Written(len(lists[FILES[0]]) - 1, n_too_far)
+    return Written(len(lists[FILES[0]]) - 1, n_unheld)
 
 
 def _is_the_benchmarks(k: Intrinsics) -> bool:
