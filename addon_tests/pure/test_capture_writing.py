@@ -19,6 +19,7 @@ from xihenet.camera import unproject_frame
 from xihenet.captures import open_capture
 from xihenet.captures.writing import WRITERS, nerfstudio, record3d, stray, tum
 from xihenet.captures.writing.pictures import Form
+from xihenet.records import Intrinsics
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -93,6 +94,12 @@ def test_a_folder_of_stray_scanner_opens_by_hand(tmp_path):
         seen = points_of(depth / 1000, *(k[[0, 1, 0, 1], [0, 1, 2, 2]] / 2), pose, looks_down_z=False)
         np.testing.assert_allclose(z_up(seen), unproject_frame(frame).points_m, atol=2e-3)
         assert np.abs(picture[::2, ::2].astype(float) - frame.srgb_u8).mean() < 5
+
+
+@VIDEO
+def test_pictures_too_small_for_hevc_are_written_too(tmp_path):
+    frames = walk(Intrinsics(16, 12, 12.0, 12.0, 8.0, 6.0), 3)
+    assert stray.write(tmp_path, frames).n_frames == len(list(open_capture(tmp_path))) == 3
 
 
 def test_nerfstudio_and_tum_open_by_hand(tmp_path):

@@ -1,7 +1,7 @@
 """Frames as the app Stray Scanner has them; the layout is that of `xihenet.captures.reading.stray`.
 
-The video is HEVC, as the app's is, or H.264 where PyAV has no encoder for that: pictures are near what they were, and
-not the same.
+The video is HEVC, as the app's is, or H.264 where PyAV has no encoder for that or the pictures are too small for it:
+they are near what they were, and not the same.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from xihenet.records import RgbdFrame
 UNITS_PER_METRE, FPS = 1000, 30
 # Without pictures between pictures, as phones record: with them short videos could not be written, at times.
 ENCODERS = {"libx265": {"x265-params": "log-level=none:bframes=0:rc-lookahead=10:frame-threads=2"}, "libx264": {}}
+SMALLEST_OF_X265 = 16  # Pixels along a side
 PRESET = "veryfast"  # The default takes nearly three times as long, 0.65 s for 1792x1344 on two busy cores
 QUALITY = "4"  # Constant rate factor; 12 takes half the bytes, and moves the light of a room by 1.3 % in place of 0.9 %
 BT709, LIMITED = 1, 1  # As phones say, in the numbers of ITU-T H.273
@@ -101,7 +102,8 @@ def _begun(container: Any, width: int, height: int, available: Collection[str]) 
     """A stream of pictures of that size."""
     if width % 2 or height % 2:
         raise ValueError(f"Stray Scanner: a video has even sizes, got {width}x{height} pixels: double the colour's")
-    names = [name for name in ENCODERS if name in available]
+    too_small = {"libx265"} if min(width, height) < SMALLEST_OF_X265 else set()
+    names = [name for name in ENCODERS if name in available and name not in too_small]
     if not names:
         raise ValueError("Stray Scanner: PyAV has no encoder for HEVC or H.264 here: write another layout")
     stream = container.add_stream(names[0], rate=FPS, options={"crf": QUALITY, "preset": PRESET, **ENCODERS[names[0]]})
