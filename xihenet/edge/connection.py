@@ -99,11 +99,16 @@ class PatientConnection:
                 connection.request(method, path, body, {**self._always, **headers})
             response = connection.getresponse()
             status, text = response.status, response.read()
-            answer = json.loads(text)
-        except (OSError, http.client.HTTPException, ValueError) as error:
+        except (OSError, http.client.HTTPException) as error:
             self.close()
             kind = NotTrusted if isinstance(error, ssl.SSLCertVerificationError) else TryAgain
             raise kind(f"{type(error).__name__}: {error}") from None
+        try:
+            answer = json.loads(text)
+        except ValueError:
+            self.close()
+            what = f"{response.headers.get_content_type()} with status {status}"
+            raise TryAgain(f"what came is {what}, not the JSON of an edge service") from None
         if status < 300 and isinstance(answer, dict):
             return answer
         said = str(answer.get("error", status)) if isinstance(answer, dict) else str(status)
