@@ -1,5 +1,6 @@
 """How long a run will take: measured on a few renders, in proportion to its frames, and said in one sentence."""
 
+import contextlib
 from dataclasses import replace
 
 import pytest
@@ -33,6 +34,12 @@ def test_a_run_that_never_sees_its_object_has_a_time_too():
         item.location.z = -50
     time = run_blocking(run_time_job(scene, replace(SMALL, frames=(1, 2))))
     assert time.renders["probe"][0] == 0 < time.renders["capture"][0] and time.total_s > 0
+
+
+def test_an_edge_server_is_not_asked_as_nothing_is_estimated():
+    job = run_time_job(walk(), replace(SMALL, frames=(1,), backend="http://127.0.0.1:9"))
+    with contextlib.closing(job):
+        assert next(job), "at port 9 nobody answers"
 
 
 def test_a_run_of_more_frames_takes_longer_in_proportion():

@@ -93,7 +93,8 @@ def format_run_time(seconds: float) -> str:
 def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTime]:
     """Prepare a run on `scene` and render a little of it; the scene stays as it is. UserError as a run raises it."""
     check_is_rendered(scene)
-    plan, loaded = plan_previs(scene, settings), load_estimators(settings)
+    # Nothing is estimated: an edge server is neither asked nor left with a session.
+    plan, loaded = plan_previs(scene, settings), load_estimators(replace(settings, backend=None))
     start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():
         survey, outputs = survey_path(scene, plan), RunOutputs(Path(folder), "scene")
