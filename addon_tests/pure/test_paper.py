@@ -22,6 +22,7 @@ from xihe_blender.lab.paper.studies.probes import inside_rim
 from xihenet import estimators
 from xihenet.edge.bench import seen_frame
 
+ROOT = Path(__file__).parents[2]
 SETTINGS = paper.PaperSettings(quick=True)
 
 
@@ -121,21 +122,22 @@ def test_report_and_page_show_every_figure_beside_the_papers(tmp_path):
     run_blocking(paper.measure_studies([STUDY], [SESSION], outputs, SETTINGS, "a"))
     results = [paper.kept_result(outputs, STUDY, "a")]
     page = report_page([STUDY], results, outputs.pictures, "xihe paper --quick")
-    words = paper_markdown([STUDY], results, "xihe paper --quick")
+    words = paper_markdown([STUDY], results, "xihe paper --quick", tmp_path)
     for text in (page.replace("\N{NARROW NO-BREAK SPACE}", " "), words):
         assert all(said in text for said in ("mean in room", "5.50 ms", "40 draws", "same work", "xihe paper --quick"))
     assert "<svg" in page and "://" not in page
 
 
-def test_the_page_of_the_documentation_has_no_details_and_says_a_sentence_once():
+def test_the_page_of_the_documentation_has_no_details_and_says_a_sentence_once(tmp_path):
     def row(what, sentence, is_detail=False):
         return Row(what, "ms", 1.0, 0.5, 1.5, 3, "same work", sentence, is_detail=is_detail)
 
     rows = (row("all", "Alike. Of 95 % or more."), row("few", "Alike. Few."), row("curve", "Alike.", is_detail=True))
     results = [paper.StudyResult("mean", "", "2021-06-24", 1.0, "one machine", rows)]
-    words = paper_markdown([STUDY], results, "xihe paper")
+    words = paper_markdown([STUDY], results, "xihe paper", tmp_path)
     assert words.count("Alike.") == 1 and "- Few.\n" in words and "| curve |" not in words
-    assert "2 figures" in words and "`report.html` has 1 more" in words
+    assert "2 figures" in words and "`report.html` has 1 more.\n" in words
+    assert "(differences.md)" in paper_markdown([STUDY], results, "xihe paper", ROOT / "docs") and "](" not in words
     assert "curve" in report_page([STUDY], results, lambda name: Path("nowhere"), "xihe paper")
 
 

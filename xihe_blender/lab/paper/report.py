@@ -31,6 +31,8 @@ WORDS: dict[Work, str] = {
     "cannot be compared": "that cannot be compared",
 }
 TITLE = "The paper's evaluation, repeated"
+BESIDE = "differences.md"
+LINK = f" [How this differs from the paper]({BESIDE})."
 FEW_ROOMS = (
     "Over two rooms an interval can hold the true figure in at most 50 % of all cases, over three in 75 %, over five "
     "in 94 %."
@@ -139,21 +141,24 @@ def _series(rows: Sequence[Row], across: dict[float, float], upright: svg.Axis, 
     return "".join(parts)
 
 
-def paper_markdown(studies: Sequence[Study], results: Sequence[StudyResult], command: str) -> str:
-    """The same as a page of the documentation."""
-    return "\n".join(_markdown_lines(studies, {one.name: one for one in results}, command)) + "\n"
+def paper_markdown(studies: Sequence[Study], results: Sequence[StudyResult], command: str, folder: Path) -> str:
+    """The same as a page of the documentation; in another `folder` it does not link to the page beside it."""
+    link = LINK if (folder / BESIDE).exists() else ""
+    return "\n".join(_markdown_lines(studies, {one.name: one for one in results}, command, link)) + "\n"
 
 
-def _markdown_lines(studies: Sequence[Study], results: dict[str, StudyResult], command: str) -> Iterator[str]:
+def _markdown_lines(
+    studies: Sequence[Study], results: dict[str, StudyResult], command: str, link: str
+) -> Iterator[str]:
     yield from (f"# {TITLE}", "")
     n_details = sum(row.is_detail for one in results.values() for row in one.rows)
     results = {
         name: replace(one, rows=tuple(row for row in one.rows if not row.is_detail)) for name, one in results.items()
     }
-    left_out = f"`report.html` has {n_details} more. " if n_details else ""
+    left_out = f" `report.html` has {n_details} more." if n_details else ""
     yield from (
         "What a simulation can repeat of the evaluation in Xihe (Zhao and Guo, MobiSys 2021), with our rooms, networks "
-        f"and server: {_lead(list(results.values()))} {left_out}[How this differs from the paper](differences.md).",
+        f"and server: {_lead(list(results.values()))}{left_out}{link}",
         "",
     )
     yield from ("```sh", command, "```", "")

@@ -133,7 +133,8 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list
         results = [one for one in kept.values() if one is not None]
         write_document(outputs.report, report_page(all_studies(), results, outputs.pictures, command))
         if settings.document is not None:
-            write_document(settings.document, paper_markdown(all_studies(), results, command))
+            page = paper_markdown(all_studies(), results, command, settings.document.parent)
+            write_document(settings.document, page)
     yield Progress(1, 1, "measured and written")
     return results
 
