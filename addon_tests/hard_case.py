@@ -47,6 +47,16 @@ def row(name: str, given: Any, ask: Callable[[Any], Any], must: Must, naive: Cal
     return case(name, given, ask, must, naive)
 
 
+def each(rows: Iterable[Any]) -> Any:
+    """The test of such rows, for a module to give a name to."""
+
+    @pytest.mark.parametrize(("given", "ask", "must", "naive"), rows)
+    def test(given: Any, ask: Any, must: Must, naive: Any, comes_out: Any) -> None:
+        assert comes_out(given, ask, must, naive)
+
+    return test
+
+
 @pytest.fixture
 def comes_out(request):
     """True where `ask(given)` is what must come out and the naive answer is not; else AssertionError says what came."""

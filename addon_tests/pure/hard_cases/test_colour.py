@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import Must, at_most, equal, near, refused, row, that
+from addon_tests.hard_case import Must, at_most, each, equal, near, refused, row, that
 from xihenet.camera import encode_exposed, unproject_frame
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.phone.metering import metered_exposure
@@ -257,7 +256,4 @@ CASES = [
     *EXPOSURES,
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

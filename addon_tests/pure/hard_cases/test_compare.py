@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import Must, at_most, case, equal, near, refused, that
+from addon_tests.hard_case import Must, at_most, each, equal, near, refused, row, that
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
 
 STAGE = "compare"
@@ -64,7 +63,7 @@ def score(metric: str, name: str, prediction: Any, truth: Any, must: Must, naive
     function, by_hand = METRICS[metric]
     sentence = f"the {metric} of {name}" + ("" if " is " in name else " is right")
     naive = None if must.is_refusal else naive or by_hand
-    return case(sentence, (prediction, truth, mask), lambda given: function(*given), must, naive)
+    return row(sentence, (prediction, truth, mask), lambda given: function(*given), must, naive)
 
 
 def nan_outside(image: np.ndarray) -> np.ndarray:
@@ -153,11 +152,6 @@ PICTURES = [
 ]
 
 
-@pytest.mark.parametrize("given, ask, must, naive", PICTURES)
-def test_a_score_of_pictures_is_right_or_undefined(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
-
-
 def blacks(given: Given) -> tuple[int, int, int]:
     found = angular_error(*given)
     return found.n_pixels, found.n_black_prediction, found.n_black_truth
@@ -179,34 +173,28 @@ def shc_by_hand(given: tuple[Any, Any]) -> float:
 
 SH = np.ones((9, 3))
 HALF_BLACK = np.where(RIGHT_HALF[..., None] > 0, GREY, BLACK)
+COUNTS = {"a prediction": (GREY, (64, 32, 0)), "the truth, whatever the prediction,": (BLACK, (64, 0, 64))}
+NO_COEFFICIENTS = {
+    "coefficients with NaN are refused with their number": ((SH * np.nan, SH), "got 27 NaN or infinite"),
+    "coefficients of another order are not stretched": ((SH[:1], SH), "expected two equal shapes"),
+    "no coefficients are refused": ((SH[:0], SH[:0]), "not empty"),
+}
+FAR, NEAR = (SH * 1e200, SH * 0), (SH * 1e-200, SH * 0)
+CASES = [
+    *PICTURES,
+    *(
+        row(f"black pixels of {whose} are counted", (HALF_BLACK, truth, MASK), blacks, equal(counts), blacks_by_hand)
+        for whose, (truth, counts) in COUNTS.items()
+    ),
+    row("coefficients that differ by 1e200 have that error", FAR, shc, near(1e200, 1e186), shc_by_hand),
+    row(
+        "coefficients that hardly differ are not equal",
+        NEAR,
+        shc,
+        near(1e-200, 1e-214),
+        lambda given: shc_by_hand(given) or 1.0,
+    ),
+    *(row(name, given, shc, refused(words)) for name, (given, words) in NO_COEFFICIENTS.items()),
+]
 
-
-@pytest.mark.parametrize(
-    "truth, must",
-    [
-        case("black pixels of a prediction are counted", GREY, equal((64, 32, 0))),
-        case("black pixels of the truth are counted, whatever the prediction", BLACK, equal((64, 0, 64))),
-    ],
-)
-def test_black_pixels_are_counted(truth, must, comes_out):
-    assert comes_out((HALF_BLACK, truth, MASK), blacks, must, blacks_by_hand)
-
-
-def test_coefficients_that_differ_by_1e200_have_that_error(comes_out):
-    assert comes_out((SH * 1e200, SH * 0), shc, near(1e200, 1e186), shc_by_hand)
-
-
-def test_coefficients_that_hardly_differ_are_not_equal(comes_out):
-    assert comes_out((SH * 1e-200, SH * 0), shc, near(1e-200, 1e-214), lambda given: shc_by_hand(given) or 1.0)
-
-
-@pytest.mark.parametrize(
-    "given, words",
-    [
-        case("coefficients with NaN are refused with their number", (SH * np.nan, SH), "got 27 NaN or infinite"),
-        case("coefficients of another order are not stretched", (SH[:1], SH), "expected two equal shapes"),
-        case("no coefficients are refused", (SH[:0], SH[:0]), "not empty"),
-    ],
-)
-def test_coefficients_that_are_none_are_refused(given, words, comes_out):
-    assert comes_out(given, shc, refused(words))
+test_hard_case = each(CASES)

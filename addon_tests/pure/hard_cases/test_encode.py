@@ -5,9 +5,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import at_most, equal, near, refused, row, that
+from addon_tests.hard_case import at_most, each, equal, near, refused, row, that
 from addon_tests.pure.hard_cases.random_payloads import random_payload, taken_for_something_else
 from xihenet.codec import METHODS, EncodingMethod, decode_cloud, encode_cloud
 from xihenet.records import UnitSphereCloud
@@ -246,7 +245,4 @@ CASES = [
     row("a colour that grew beyond 1 since it was checked does not wrap", 1.2, changed_since, WHITE, wrapped),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

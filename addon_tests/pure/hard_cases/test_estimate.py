@@ -4,9 +4,8 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import at_most, equal, near, refused, row
+from addon_tests.hard_case import at_most, each, equal, near, refused, row
 from addon_tests.pure.hard_cases.hard_clouds import (
     DARK,
     DISTANCES,
@@ -126,7 +125,4 @@ CASES = [
     ),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import at_most, equal, near, refused, row
+from addon_tests.hard_case import at_most, each, equal, near, refused, row
 from addon_tests.pure.hard_cases.hard_clouds import CLOUDS, NOTHING, WHITE_LIGHT, N, estimator
 from xihenet.backend import LocalBackend
 from xihenet.controller import XiheController
@@ -184,7 +183,4 @@ CASES = [
     row("an estimator without anchors is refused", 0, of_anchors, refused("expected at least one anchor")),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

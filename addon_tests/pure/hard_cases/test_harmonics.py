@@ -4,9 +4,8 @@ from math import factorial
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import at_most, near, refused, row, that
+from addon_tests.hard_case import at_most, each, near, refused, row, that
 from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny
 from xihenet.panorama import evaluate_panorama, panorama_directions, solid_angles
 from xihenet.sh import basis, cosine_lobe, project_panorama
@@ -182,7 +181,4 @@ CASES = [
     row("a panorama with one nan is refused with its number", sunny(np.nan), project_panorama, refused(ONE_NAN)),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import at_most, equal, near, refused, row, that
+from addon_tests.hard_case import at_most, each, equal, near, refused, row, that
 from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny, windowed
 from xihenet.sh import basis, dering, dering_with_strength, irradiance, project_panorama, rotate
 
@@ -198,7 +197,4 @@ CASES = [
     row("five coefficients are refused", np.ones((5, 3)), dering, refused(FIVE)),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

@@ -5,9 +5,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import at_most, equal, near, refused, row
+from addon_tests.hard_case import at_most, each, equal, near, refused, row
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import UnitSphereCloud
 from xihenet.sh import basis, project_anchors
@@ -182,7 +181,4 @@ CASES = [
     ),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import at_most, equal, near, refused, row, that
+from addon_tests.hard_case import at_most, each, equal, near, refused, row, that
 from addon_tests.pure.sh_samples import random_directions
 from xihenet.completeness import ENTROPY_SIZES, joint_entropy
 from xihenet.records import PointCloud
@@ -255,9 +254,8 @@ CASES = [
         for name, points in NO_ENTROPY.items()
     ),
     row("drawing from broken points alone draws none", np.full((5, 3), np.nan), drawn, equal(0)),
+    row("65537 anchors are refused since an index has 16 bits", 65_537, AnchorLattice, refused("expected 1 to 65536")),
+    row("no anchor is refused", 0, AnchorLattice, refused("expected 1 to 65536")),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

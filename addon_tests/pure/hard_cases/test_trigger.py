@@ -4,9 +4,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 
-from addon_tests.hard_case import Must, equal, refused, row, that
+from addon_tests.hard_case import Must, each, equal, refused, row, that
 from xihenet.camera import encode_exposed, unproject_frame
 from xihenet.codec import decode_cloud, encode_cloud
 from xihenet.records import Intrinsics, PointCloud, RgbdFrame, TriggerDecision, UnitSphereCloud
@@ -244,7 +243,4 @@ CASES = [
     ),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)

@@ -3,10 +3,9 @@
 from typing import Any
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from addon_tests.hard_case import at_most, equal, near, refused, row, that
+from addon_tests.hard_case import at_most, each, equal, near, refused, row, that
 from xihenet.camera import in_view, project_points, unproject_frame
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -269,7 +268,4 @@ CASES = [
     row("a picture without pixels is refused", (0, 6), with_pixels, refused("at least one pixel")),
 ]
 
-
-@pytest.mark.parametrize("given, ask, must, naive", CASES)
-def test_hard_case(given, ask, must, naive, comes_out):
-    assert comes_out(given, ask, must, naive)
+test_hard_case = each(CASES)
