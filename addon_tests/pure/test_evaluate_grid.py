@@ -185,14 +185,10 @@ def test_a_batch_that_was_moved_with_its_scenes_and_phones_has_all_units_and_nam
     (before / "cheap.toml").write_text(profile.read_text().replace("ipad_pro_lidar", "cheap"))
     folder, units, settings = in_folder(before)
     folder.manifest(settings).take()
-    cost = UnitCost(elapsed_s=1.0, processor_s=1.0, peak_memory_mb=None, written_bytes=1)
     for unit in units:
         read = FilesRead(patterns=("sky.exr",), sha256=contents_sha256([str(unit.scene.with_name("sky.exr"))]))
-        trials = tuple(
-            TrialFigures(**{part.name: getattr(trial(phone=phone), part.name) for part in fields(TrialFigures)})
-            for phone in settings.phones
-        )
-        done = UnitResult(trials=trials, step_ms=(None, None), render_s=0, cost=cost, read=read)
+        trials = tuple(figures(trial(phone=phone)) for phone in settings.phones)
+        done = replace(NOTHING_DONE, trials=trials, step_ms=(None, None), read=read)
         write_json(result_file(folder.of_unit(unit)), as_json(done))
     found = batch_results(folder, settings, units, {})
     assert len(found.units) == 4 and {one.phone for one in found.trials} == {"perfect", "cheap"}
