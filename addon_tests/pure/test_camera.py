@@ -4,8 +4,6 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from addon_tests.pure.made import frame_of, pose_of, random_rotation
 from xihenet.camera import encode_exposed, in_view, part_around, project_points, sensed_ambient, unproject_frame
@@ -107,16 +105,6 @@ def test_a_part_of_the_picture_is_not_known_where_a_point_is_not_before_the_came
 def test_no_points_project_to_no_pixels():
     pixels, plane_depth_m = project_points(np.zeros((0, 3)), Intrinsics(1, 1, 1, 1, 0, 0), np.eye(4))
     assert pixels.shape == (0, 2) and plane_depth_m.shape == (0,)
-
-
-@given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
-def test_re_exposing_scales_linear_light_and_clips_it(exposure, reference):
-    colours = np.arange(256, dtype=np.uint8).reshape(1, 256, 1).repeat(3, axis=2)
-    intrinsics = Intrinsics(256, 1, 1.0, 1.0, 0.0, 0.0)
-    frame = frame_of(np.ones((1, 256)), intrinsics, srgb_u8=colours, exposure=exposure)
-    srgb = unproject_frame(frame, reference_exposure=reference).srgb
-    expected = np.minimum(srgb_to_linear(colours.reshape(-1, 3) / 255.0) * (reference / exposure), 1.0)
-    np.testing.assert_allclose(srgb_to_linear(srgb), expected, atol=2e-6)
 
 
 def test_the_frames_own_exposure_keeps_its_bytes():

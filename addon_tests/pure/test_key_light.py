@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from addon_tests.pure.made import random_rotation
+from addon_tests.pure.made import constant, random_rotation
 from addon_tests.pure.sh_samples import random_directions, random_light
 from xihenet.buffers import merge
 from xihenet.colour import linear_to_srgb
@@ -33,7 +33,7 @@ def lamp(direction, strength=1.0, radius=0.0, colour=(1.0, 1.0, 1.0)):
 
 
 def flat(radiance=0.1):
-    return np.sqrt(4 * np.pi) * radiance * np.eye(9)[0][:, None] * np.ones(3)
+    return constant(radiance)
 
 
 def seen(*lamps, radius=0.14, wall=0.2, share=1.0, shows=1.0, lattice=LATTICE):

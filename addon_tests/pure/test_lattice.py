@@ -53,9 +53,13 @@ def test_any_number_of_anchors_gives_finite_light_and_a_positive_expected_error(
         assert (light[:, 0] >= 0).all()
 
 
-@pytest.mark.parametrize("n", [512, 1280])
-def test_a_batch_equals_single_estimates(weights_file, n):
-    estimator = Lattice(n, weights=weights_file)
+OTHER_SIZES = LatticeArchitecture(stem=5, fine=11, middle=7, coarse=13, narrow=3, hidden=40, code=9)
+
+
+@pytest.mark.parametrize(("n", "sizes"), [(512, None), (1280, None), (300, OTHER_SIZES)])
+def test_a_batch_equals_single_estimates(tmp_path, n, sizes):
+    save_weights(tmp_path / "w.npz", random_weights(1, architecture=sizes))
+    estimator = Lattice(n, weights=tmp_path / "w.npz")
     clouds = [np.concatenate(parts) for parts in zip(random_clouds(n, 3, 12), nasty_clouds(n), strict=True)]
     facing = np.random.default_rng(0).uniform(-1, 1, clouds[2].shape).astype(np.float32)
     light, expected_error = estimator.estimate_batch_with_error(*clouds, facing=facing)
@@ -95,9 +99,7 @@ def test_constant_light_stays_constant_whatever_the_weights(tmp_path, n):
     light = Lattice(n, weights=tmp_path / "w.npz").estimate_batch(
         linear_to_srgb(radiance) * is_set[..., None], 2.0 * is_set, is_set
     )
-    expected = np.zeros((9, 3))
-    expected[0] = 2 * np.sqrt(np.pi) * radiance
-    np.testing.assert_allclose(light[0], expected, atol=2e-6)
+    np.testing.assert_allclose(light[0], constant_light(radiance), atol=2e-6)
 
 
 def test_weights_of_zero_give_the_projection(tmp_path):
@@ -221,8 +223,6 @@ def test_facing_out_of_range_is_refused(weights_file, facing):
 def test_another_number_of_anchors_is_refused(weights_file):
     with pytest.raises(ValueError, match="n = 1280"):
         Lattice(1280, weights=weights_file).estimate_batch(*random_clouds(512))
-    with pytest.raises(ValueError, match="made for 1280 anchors, got a cloud of 512"):
-        Lattice(1280, weights=weights_file).estimate_with_error(UnitSphereCloud.empty(512))
 
 
 def test_a_saved_file_comes_back_as_it_was(tmp_path):
@@ -346,18 +346,6 @@ def test_poor_input_degrades_gently_also_with_a_network_that_acts_strongly(tmp_p
     assert np.isfinite(light).all() and np.abs(light).max() < 40
     assert np.abs(light - plain)[4].max() > 0.01
     np.testing.assert_allclose(light[1:4], plain[1:4], atol=1e-5)
-
-
-def test_other_sizes_and_numbers_of_clouds_give_the_same_in_a_batch(tmp_path):
-    sizes = LatticeArchitecture(stem=5, fine=11, middle=7, coarse=13, narrow=3, hidden=40, code=9)
-    save_weights(tmp_path / "w.npz", random_weights(8, architecture=sizes))
-    estimator = Lattice(300, weights=tmp_path / "w.npz")
-    clouds = random_clouds(300, 2, 19)
-    light = estimator.estimate_batch(*clouds)
-    for k in range(19):
-        np.testing.assert_allclose(
-            light[k], estimator.estimate(UnitSphereCloud(*(part[k] for part in clouds))), atol=1e-5
-        )
 
 
 def test_next_to_nothing_seen_leans_on_the_phones_sensor_and_constant_light_stays(weights_file):

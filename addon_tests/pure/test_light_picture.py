@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from addon_tests.pure.made import constant
+from addon_tests.pure.sh_samples import random_light
 from xihenet import sh
 from xihenet.colour import linear_to_srgb
 from xihenet.light.light_picture import (
@@ -27,10 +28,6 @@ def towards(*direction, strength=1.0):
     light = constant([1.0, 1.0, 1.0])
     light[1:4] += strength * sh.basis([direction])[0, 1:4, None]
     return light
-
-
-def random_light(seed):
-    return np.random.default_rng(seed).normal(size=(9, 3))
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 16, 33])
@@ -67,7 +64,7 @@ def test_the_mirror_shows_what_is_behind_the_camera_at_its_centre_and_what_is_be
 
 def test_half_way_to_the_rim_the_mirror_looks_sideways():
     # A normal 45 degrees off the view turns the view by 90 degrees: 2 (k + 0.5) / size - 1 = sqrt(1/2).
-    light, size = random_light(1), 501
+    light, size = random_light(seed=1), 501
     column = round((1 + np.sqrt(0.5)) * size / 2 - 0.5)
     shown = three_spheres(light, size)[MIRROR]
     right, top = sh.basis([(1, 0, 0), (0, 0, 1)]) @ light
@@ -76,7 +73,7 @@ def test_half_way_to_the_rim_the_mirror_looks_sideways():
 
 
 def test_the_diffuse_sphere_shows_irradiance_over_pi():
-    light = random_light(2)
+    light = random_light(seed=2)
     z, x = np.nonzero(sphere_mask(SIZE))
     x, z = (2 * x + 1) / SIZE - 1, 1 - (2 * z + 1) / SIZE
     normals = np.stack([x, -np.sqrt(1 - x**2 - z**2), z], axis=1)
@@ -98,14 +95,14 @@ def test_the_lobe_of_the_silver_sphere_is_the_ggx_lobe_integrated_by_another_met
 
 def test_turning_the_light_about_the_view_turns_the_picture():
     quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # +Z goes to +X: clockwise in the picture
-    light = random_light(3)
+    light = random_light(seed=3)
     turned = three_spheres(sh.rotate(light, quarter), 24)
     np.testing.assert_allclose(turned, np.rot90(three_spheres(light, 24), -1, axes=(1, 2)), atol=1e-12)
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 32])
 def test_the_transfer_has_a_row_for_each_pixel_of_the_mask_in_row_order(size):
-    transfer, light = sphere_transfer(size), random_light(4)
+    transfer, light = sphere_transfer(size), random_light(seed=4)
     assert transfer.shape == (3, np.count_nonzero(sphere_mask(size)), 9)
     np.testing.assert_array_equal(three_spheres(light, size)[:, sphere_mask(size)], transfer @ light)
     assert not transfer.flags.writeable

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from addon_tests.pure.made import frame_of
+from addon_tests.pure.made import constant, frame_of
 from addon_tests.pure.sh_samples import random_directions, random_light
 from xihenet.camera import unproject_frame
 from xihenet.colour import linear_to_srgb
@@ -26,7 +26,7 @@ from xihenet.sh import basis
 from xihenet.sphere import AnchorLattice
 
 LATTICE = AnchorLattice(2048)
-FLAT = np.sqrt(4 * np.pi) * 0.3 * np.eye(9)[0][:, None] * np.ones(3)
+FLAT = constant(0.3)
 
 
 def cloud_of(radiance, is_set):
@@ -73,7 +73,7 @@ def test_a_window_draws_no_streak_beyond_what_was_seen_of_it():
     radiance = np.full((len(LATTICE), 3), 0.1)
     is_window = half() & (LATTICE.directions[:, 0] > 0.9) & (LATTICE.directions[:, 2] < 0.3)
     radiance[is_window] = 1.0
-    light = ObjectLight(np.sqrt(4 * np.pi) * 0.1 * np.eye(9)[0][:, None] * np.ones(3))
+    light = ObjectLight(constant(0.1))
     found = fill_reflections(cloud_of(radiance, half()), LATTICE, light).radiance
     assert is_window.sum() > 10 and found[~half()].max() < 0.12
 

@@ -61,24 +61,6 @@ def test_sampling_agrees_with_the_reference_on_nasty_points(n, seed, dtype):
     assert sampled.n_invalid_points == 3 + 1 + 2 + 3
 
 
-def test_sampling_keeps_the_nearer_colour():
-    red, blue = [1, 0, 0], [0, 0, 1]
-    for points, colours in (([[3, 0, 0], [2, 0, 0]], [red, blue]), ([[2, 0, 0], [3, 0, 0]], [blue, red])):
-        sampled = sample_unit_sphere(PointCloud(points, colours), ORIGIN, LATTICE)
-        assert sampled.is_set.sum() == 1
-        np.testing.assert_array_equal(sampled.srgb[sampled.is_set], [blue])
-        np.testing.assert_array_equal(sampled.distance_m[sampled.is_set], [2])
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("sign", [-1, 1])
-def test_point_along_an_axis_sets_the_anchor_that_points_there(axis, sign):
-    point = np.zeros(3)
-    point[axis] = sign
-    sampled = sample_unit_sphere(PointCloud([point + 7], [[1, 1, 1]]), ORIGIN + 7, LATTICE)
-    assert LATTICE.directions[sampled.is_set][0, axis] * sign > 0.99
-
-
 def test_memory_layout_of_the_points_does_not_matter():
     cloud = random_cloud(np.random.default_rng(2), 5000)
     by_column = PointCloud(np.asfortranarray(cloud.points_m), np.asfortranarray(cloud.srgb))

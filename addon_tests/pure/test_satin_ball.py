@@ -14,6 +14,9 @@ from xihenet.satin_ball import (
 )
 from xihenet.sh import irradiance
 from xihenet.sh_basis import basis
+from xihenet.sphere import AnchorLattice
+
+EVENLY_SPREAD = AnchorLattice(20_000).directions
 
 
 @pytest.fixture
@@ -21,15 +24,8 @@ def rng():
     return np.random.default_rng(3)
 
 
-def evenly_spread(n=20000):
-    step = np.arange(n)
-    z = 1 - (2 * step + 1) / n
-    azimuth, level = step * np.pi * (3 - np.sqrt(5)), np.sqrt(1 - z * z)
-    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), z], axis=1)
-
-
 def test_half_of_the_ball_is_matte_and_half_shows_the_mean_of_the_light_within_its_cone(rng):
-    light, directions = rng.normal(size=(81, 3)), evenly_spread()
+    light, directions = rng.normal(size=(81, 3)), EVENLY_SPREAD
     radiance, towards = basis(directions, 8) @ light, np.array([[0.36, -0.48, 0.8]])
     in_cone = directions @ towards[0] > np.cos(HALF_ANGLE)
     shown = basis(towards, 8) @ satin_picture(light)
@@ -51,7 +47,7 @@ def test_means_over_cones_tell_what_the_ball_shows(rng):
 
 def test_the_mean_square_is_that_over_all_directions(rng):
     picture = rng.normal(size=(25, 3))
-    assert mean_square(picture) == pytest.approx(np.mean((basis(evenly_spread(), 4) @ picture) ** 2), rel=1e-3)
+    assert mean_square(picture) == pytest.approx(np.mean((basis(EVENLY_SPREAD, 4) @ picture) ** 2), rel=1e-3)
 
 
 def test_the_true_light_leaves_nothing_but_what_order_2_cannot_hold(rng):
