@@ -101,7 +101,7 @@ def few_costs(names, n_seeds):
 
 @pytest.fixture(scope="module")
 def measured():
-    """Effects of the tiny room with a glass ball in it, some with costs; measuring these changes nothing in the file."""
+    """Effects of the tiny room with a glass ball in it, some with costs; measuring them leaves the file as it is."""
     scene = room_with_a_virtual_sphere(n_frames=1)
     ball(scene, "Vase", (0.5, 0.3, 1.0), glass())
     with few_costs(MEASURED, n_seeds=3), nothing_changes():

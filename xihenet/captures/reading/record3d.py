@@ -2,9 +2,10 @@
 
 Poses are camera to world as quaternion and place, the camera looks along -Z with +Y up. They begin at the first
 camera; `initPose` is where that one was in ARKit's world, which has +Y up. Without it, and where it turns nothing, as
-the app itself was seen to write it, up is not known: the floor is looked for. K, column by column, and the intrinsics of each frame are for the colour's size. Depth is float32 in metres
-and confidence 0, 1, 2, both packed by LZFSE, row by row; depth lies as the colour does, upright or not. Only captures
-with LiDAR have poses; one with a number that is not finite is of a moment at which tracking was lost, as good as none.
+the app itself was seen to write it, up is not known: the floor is looked for. K, column by column, and the intrinsics
+of each frame are for the colour's size. Depth is float32 in metres and confidence 0, 1, 2, both packed by LZFSE, row
+by row; depth lies as the colour does, upright or not. Only captures with LiDAR have poses; one with a number that is
+not finite is of a moment at which tracking was lost, as good as none.
 """
 
 from __future__ import annotations
