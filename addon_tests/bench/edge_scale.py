@@ -1,10 +1,10 @@
-"""What sharing sessions costs: one server with sessions in memory, one with Redis, and two workers with Redis.
+"""What would 100,000 phones take of workers and of Redis? From two workers that share their sessions, measured.
 
     python addon_tests/bench/edge_scale.py [--seconds 10] [--rounds 3] [--clients 24] [--estimator lattice]
 
-The three take turns, round after round, so that a busy machine is busy for all. Clients of the published protocol ask
-as soon as they have their answer, --clients of each worker. What counts is lights per second of processor time, with
-and without that of Redis, since clients, servers and Redis share the machine. Needs redis-server on the path.
+Clients of the published protocol, --clients of each worker, ask as soon as they have their answer. What counts is
+processor time, with and without that of Redis, since clients, servers and Redis share the machine. Needs redis-server
+on the path.
 """
 
 import asyncio
@@ -22,44 +22,40 @@ import redis
 from edge_load import as_many_as_go, cpu_s, opened
 from given import given
 
+N_WORKERS = 2
 PHONES, LIGHTS_A_MINUTE = 100_000, 27
 """For `docs/edge.md`: what the walks of `docs/trigger.md` ask for, at two frames a second."""
 
 
 class Served:
-    """A server process with its workers, and the totals of its rounds."""
+    """A server process with its workers, and the figures of its rounds."""
 
-    def __init__(self, name, options, store=None, n_workers=1):
+    def __init__(self, options, store):
         command = [sys.executable, "-m", "xihe_blender", "serve", "--port", "0", *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.port = int(re.search(r":(\d+),", self.process.stdout.readline())[1])
-        self.name, self.store, self.n_workers, self.rounds = name, store, n_workers, []
+        self.store, self.rounds = store, []
 
     def cpu_s(self):
         children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
         return sum(cpu_s(pid) for pid in [self.process.pid, *children])
 
     async def measure(self, n_clients, seconds):
-        clients = await opened(self.port, n_clients * self.n_workers)
+        clients = await opened(self.port, n_clients)
         await as_many_as_go(clients, 1)
-        before = self.cpu_s(), self.store.told() if self.store else None
+        before_s, before = self.cpu_s(), self.store.told()
         answers = await as_many_as_go(clients, seconds)
-        n, spent_s = len(answers.latencies_s), self.cpu_s() - before[0]
+        n, spent_s = len(answers.latencies_s), self.cpu_s() - before_s
         assert set(answers.statuses) == {200}, answers
-        figures = {"lights/s": n / answers.seconds, "lights per CPU s": n / spent_s, "with Redis": n / spent_s}
-        if self.store:
-            more = {name: value - before[1][name] for name, value in self.store.told().items()}
-            figures["with Redis"] = n / (spent_s + more.pop("CPU s"))
-            figures |= {f"{name} a light": value / n for name, value in more.items()}
-        self.rounds.append(figures)
+        more = {name: value - before[name] for name, value in self.store.told().items()}
+        figures = {"lights/s": n / answers.seconds, "lights per CPU s": n / spent_s}
+        figures["with Redis"] = n / (spent_s + more.pop("CPU s"))
+        self.rounds.append(figures | {f"{name} a light": value / n for name, value in more.items()})
         for client in clients:
             client.close()
 
     def median(self):
         return {name: np.median([one[name] for one in self.rounds]) for name in self.rounds[0]}
-
-    def __str__(self):
-        return f"{self.name}: " + ", ".join(f"{value:.3g} {name}" for name, value in self.median().items())
 
 
 class Store:
@@ -94,7 +90,7 @@ class Store:
 
 
 def print_on_paper(figures, bytes_of_a_position):
-    """What many phones would take, from the figures of the two workers."""
+    """What many phones would take."""
     per_s, own_s = PHONES * LIGHTS_A_MINUTE / 60, 1 / figures["lights per CPU s"]
     redis_s = 1 / figures["with Redis"] - own_s
     print(f"a light: {1e3 * own_s:.2f} ms of a worker, {1e3 * redis_s:.2f} ms of Redis; one Redis {1 / redis_s:.0f}/s")
@@ -112,28 +108,15 @@ def main():
         store = Store(folder)
         ending.callback(store.process.wait)
         ending.callback(store.process.kill)
-        choice = ["--estimator", options.estimator]
-        servers = []
-        for name, more, n_workers in [
-            ("1 worker, in memory", [], 1),
-            ("1 worker, Redis", ["--store", store.url], 1),
-            ("2 workers, Redis", ["--store", store.url, "--workers", "2"], 2),
-        ]:
-            servers.append(Served(name, choice + more, store if more else None, n_workers))
-            ending.callback(servers[-1].process.wait)
-            ending.callback(servers[-1].process.terminate)
+        choices = ["--estimator", options.estimator, "--store", store.url, "--workers", str(N_WORKERS)]
+        served = Served(choices, store)
+        ending.callback(served.process.wait)
+        ending.callback(served.process.terminate)
         for _ in range(options.rounds):
-            for server in servers:
-                asyncio.run(server.measure(options.clients, options.seconds))
-        print(*servers, sep="\n")
-        print_on_paper(servers[2].median(), store.bytes_of_a_position())
-        for number, than in ((2, 1), (2, 0), (1, 0)):
-            for figure in ("lights per CPU s", "with Redis"):
-                ratios = [
-                    a[figure] / b[figure] for a, b in zip(servers[number].rounds, servers[than].rounds, strict=True)
-                ]
-                rounds = ", ".join(f"{ratio:.2f}" for ratio in ratios)
-                print(f"{servers[number].name} / {servers[than].name}, {figure}: {np.median(ratios):.2f} ({rounds})")
+            asyncio.run(served.measure(options.clients * N_WORKERS, options.seconds))
+        figures = served.median()
+        print(", ".join(f"{value:.3g} {name}" for name, value in figures.items()))
+        print_on_paper(figures, store.bytes_of_a_position())
 
 
 if __name__ == "__main__":

@@ -18,11 +18,11 @@ six sides, with its normals. Errors are root mean squares over its surface, in p
 
 What the ball shows is taken to order 8, as the budget's is: finer than that is mostly grain of a path-traced ball.
 
-    python addon_tests/bench/error_budget.py OUT SCENE.blend... [--phone NAME] [--network NAME] [--step N] [--all]
+    python addon_tests/bench/error_budget.py OUT SCENE.blend... [--phone NAME] [--network NAME] [--step N]
         [--seeds N] [--anew N]
 
-In a scene without virtual objects a ball is put at the empty `placement_0`. With --all every part is measured and not
-the largest alone; --seeds are those of the budget, --anew those with which all is rendered anew.
+In a scene without virtual objects a ball is put at the empty `placement_0`. --seeds are those of the budget, --anew
+those with which all is rendered anew.
 """
 
 from __future__ import annotations
@@ -422,9 +422,7 @@ def measure(case: Case, parts: Iterable[str]) -> SeedErrors:
 
 def main() -> None:
     options, orders = (
-        given(
-            __doc__, "out", "scenes+", phone="perfect", network=(str, None), step=4, all=False, seeds=N_SEEDS, anew=1
-        ),
+        given(__doc__, "out", "scenes+", phone="perfect", network=(str, None), step=4, seeds=N_SEEDS, anew=1),
         [],
     )
     for file in options.scenes:
@@ -437,9 +435,7 @@ def main() -> None:
         settings = replace(settings, objects=(name,))
         budget = run_blocking(error_budget(scene, out / "budget", settings, n_seeds=options.seeds, blend_file=file))
         (item,) = budget.objects
-        every = [part for part in item.parts if part.state == "measured"]
-        chosen = every if options.all else [*largest(item), *largest_that_are_certain(item)]
-        names = list(dict.fromkeys(part.name for part in chosen))
+        names = list(dict.fromkeys(part.name for part in (*largest(item), *largest_that_are_certain(item))))
         cases = [Case(file, out, settings, budget, FIRST_NEW_SEED + number) for number in range(options.anew)]
         anew = over_seeds(item.name, item.moments, [measure(case, names) for case in cases])
         orders.append(order_of(item, anew))

@@ -8,10 +8,9 @@ the brightest on, weighted by their light, those that were sampled and showed th
 at white, in each channel. The outside of a shade does not, nor does a wall that was taken for the lamp.
 
 For each scene, in degrees, the median and of how many estimates: the key light of `lattice` where the phone has seen
-the lamp, and there the angle to the middle of the whole lamp; where it has not; that of `truth`; the direction of l = 1
-alone; and the key light wherever it is one that was seen, right or wrong. Then estimates without a key light, and those
-with two equal lamps without and with one; and how often it turns by more than 20 degrees from one to the next and ends
-farther from the lamp, and nearer.
+the lamp, and there the angle to the middle of the whole lamp; where it has not; that of `truth`; and the direction of
+l = 1 alone. Then estimates without a key light, those with two equal lamps, which do not count in the others, and how
+often it turns by more than 20 degrees from one to the next and ends farther from the lamp.
 
     python addon_tests/bench/key_light.py OUT SCENE.blend... [--preset NAME] [--size WxH]
 
@@ -113,13 +112,18 @@ def angles(run: PreparedRun, walked: WalkedPath, estimator: str) -> dict[str, li
             patch = patch_of_most_light(luminance)
             lamp, light = middle_of(patch, luminance), walked.lights[frame][estimator][probe.object_name]
             true = walked.lights[estimated]["truth"][probe.object_name].key
-            key, is_equal = light.key, has_equal(luminance, patch, lamp)
+            key = light.key
             angle = np.nan if key is None else degrees(key.direction, lamp)
-            if key is not None and before is not None and key.direction @ before < JUMP:
-                found["away" if angle > degrees(before, lamp) else "nearer"].append(angle)
+            if (
+                key is not None
+                and before is not None
+                and key.direction @ before < JUMP
+                and angle > degrees(before, lamp)
+            ):
+                found["away"].append(angle)
             before = before if key is None else key.direction
-            if is_equal:
-                found["equal, none" if key is None else "equal, one"].append(angle)
+            if has_equal(luminance, patch, lamp):
+                found["equal"].append(angle)
                 continue
             first_band = (light.sh @ LUMINANCE)[[3, 1, 2]]
             found["l = 1"].append(degrees(first_band / np.linalg.norm(first_band), lamp))
@@ -132,13 +136,11 @@ def angles(run: PreparedRun, walked: WalkedPath, estimator: str) -> dict[str, li
                 found["whole"].append(degrees(key.direction, whole_lamp(luminance, lamp)))
             else:
                 found["did not"].append(angle)
-            if key.is_seen:
-                found["is seen"].append(angle)
     return found
 
 
-MEDIANS = ("saw", "whole", "did not", "truth", "l = 1", "is seen")
-COUNTS = ("none", "equal, none", "equal, one", "away", "nearer")
+MEDIANS = ("saw", "whole", "did not", "truth", "l = 1")
+COUNTS = ("none", "equal", "away")
 
 
 def told(name: str, found: dict[str, list[float]]) -> str:

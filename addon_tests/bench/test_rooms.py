@@ -3,8 +3,8 @@
     python addon_tests/bench/test_rooms.py FOLDER_OF_TEST_ROOMS --training FOLDER_OF_TRAINING_ROOMS
 
 Rooms are those of `xihe dataset build`. One view: each view
-with each position that is in view and not hidden. All views: those of one position merged, where there are two or more
-(`pointar` samples points itself, of the last view). Errors are SHC RMSE against the light clipped at white, the mean
+with each position that is in view and not hidden. All views: those of one position merged, where there are two or more.
+Errors are SHC RMSE against the light clipped at white, the mean
 over clouds, divided by that of the mean predictor: the mean light of the training rooms, whatever is seen. Points and
 patches are two ways to sample, see `xihenet.patches`; facing weighs patches by how they face the position.
 """
@@ -22,7 +22,6 @@ from given import given
 from xihenet import estimators
 from xihenet.buffers import merge_in_sight
 from xihenet.camera import unproject_frame
-from xihenet.estimators import EstimateContext
 from xihenet.io.npz_files import read_npz
 from xihenet.metrics import shc_rmse
 from xihenet.records import UnitSphereCloud
@@ -31,39 +30,37 @@ from xihenet.sphere import AnchorLattice
 from xihenet.training.rooms import frames_of, room_files
 
 LATTICE = AnchorLattice(1280)
-NAMES = ("ambient", "pointar", "xihenet", "lattice", "projection")
+NAMES = ("ambient", "lattice", "projection")
 SAMPLINGS = ("points", "patches", "patches and facing")
 
 
 class Seen(NamedTuple):
-    """What is known of a position from one view or from all, with the last view for who asks it.
+    """What is known of a position from one view or from all.
 
     `clouds` are in the order of SAMPLINGS; `truths` (9, 3) are the light by target.
     """
 
     views: str
     clouds: list[UnitSphereCloud]
-    context: EstimateContext
     truths: dict[str, np.ndarray]
 
 
 def seen_in(path: Path) -> Iterator[Seen]:
     """All clouds of a room."""
     room = read_npz(path)
-    seen = [(frame, unproject_frame(frame)) for frame in frames_of(room)]
+    seen = [unproject_frame(frame) for frame in frames_of(room)]
     for place, position_m in enumerate(room["positions_m"]):
         truths = {target: room[f"sh_{target}"][place] for target in ("ldr", "hdr")}
         merged = [UnitSphereCloud.empty(LATTICE.n)] * len(SAMPLINGS)
         shown = np.flatnonzero(room["is_in_view"][:, place] & room["is_unhidden"][:, place])
         for view in shown:
-            context, points = EstimateContext(*seen[view], position_m), seen[view][1]
-            faced = sample_unit_sphere(points, position_m, LATTICE)
-            plain = sample_unit_sphere(replace(points, grid=None), position_m, LATTICE)
+            faced = sample_unit_sphere(seen[view], position_m, LATTICE)
+            plain = sample_unit_sphere(replace(seen[view], grid=None), position_m, LATTICE)
             clouds = [plain, replace(faced, surfaces=None), faced]
             merged = [merge_in_sight(old, new) for old, new in zip(merged, clouds, strict=True)]
-            yield Seen("one view", clouds, context, truths)
+            yield Seen("one view", clouds, truths)
         if len(shown) > 1:
-            yield Seen("all views", merged, context, truths)
+            yield Seen("all views", merged, truths)
 
 
 def main() -> None:
@@ -75,8 +72,8 @@ def main() -> None:
         errors.setdefault((seen.views, "", "mean predictor"), []).append(shc_rmse(mean_sh, seen.truths["ldr"]))
         for sampling, cloud in zip(SAMPLINGS, seen.clouds, strict=True):
             for one in loaded:
-                light = one.estimate(cloud, seen.context if one.name == "pointar" else None)
-                errors.setdefault((seen.views, sampling, one.name), []).append(shc_rmse(light, seen.truths["ldr"]))
+                error = shc_rmse(one.estimate(cloud), seen.truths["ldr"])
+                errors.setdefault((seen.views, sampling, one.name), []).append(error)
     for views in ("one view", "all views"):
         of_mean = errors[views, "", "mean predictor"]
         base = np.mean(of_mean)
