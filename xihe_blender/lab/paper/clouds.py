@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
-from xihe_blender.lab.paper.records import Place, Session
+from xihe_blender.errors import UserError
+from xihe_blender.lab.paper.records import Place, Session, StudyOptions
 from xihenet.buffers import merge
 from xihenet.camera import in_view, unproject_frame
-from xihenet.records import PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.metrics import shc_rmse
+from xihenet.records import ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 from xihenet.walk.placement import evenly_chosen
@@ -43,6 +45,30 @@ def views(sessions: Sequence[Session], most: int) -> Iterator[View]:
         for frame, place in evenly_chosen(found, most):
             points = unproject_frame(frame, reference_exposure=session.exposure)
             yield View(session.name, place, frame, points, session.exposure)
+
+
+def several_views(sessions: Sequence[Session], options: StudyOptions, *, is_steady: bool = False) -> list[View]:
+    """20 of each room if it is to be quick, else 100, of steady rooms alone or of all. UserError for fewer than two."""
+    found = list(views(with_truth(sessions) if is_steady else sessions, 20 if options.quick else 100))
+    if len(found) < 2:
+        raise UserError(
+            f"fewer than two frames of {'steady rooms' if is_steady else 'the sessions'} have a place in view"
+        )
+    return found
+
+
+def walk_errors(
+    sessions: Sequence[Session],
+    lattice: AnchorLattice,
+    estimate: Callable[[UnitSphereCloud], ArrayF64],
+    **sampling: Any,
+) -> list[float]:
+    """SHC RMSE of what is estimated, clipped at white, from all that the walk shows of each place, room by room."""
+    return [
+        shc_rmse(estimate(cloud), place.true_ldr)
+        for session in sessions
+        for cloud, place in zip(walked(session, lattice, **sampling), session.places, strict=True)
+    ]
 
 
 def walked(session: Session, lattice: AnchorLattice, **sampling: Any) -> list[UnitSphereCloud]:

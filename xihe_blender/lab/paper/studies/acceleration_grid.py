@@ -6,12 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from xihe_blender.lab.paper.clouds import walked, with_truth
+from xihe_blender.lab.paper.clouds import walk_errors, with_truth
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet import estimators
-from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt
-from xihenet.sphere import AnchorLattice, NearestMethod
+from xihenet.sphere import AnchorLattice
 
 N_POINTS = 1_000_000
 N_BLOCKS = 20
@@ -68,22 +67,15 @@ def effect_on_light(sessions: Sequence[Session], options: StudyOptions) -> Itera
     steady = with_truth(sessions)
     if not steady:
         return
-    exact = _errors(steady, "exact", TABLES[0])
+    lattice, estimate = AnchorLattice(1280), estimators.load("projection", 1280, "ldr").estimate
+    exact = walk_errors(steady, lattice, estimate)
     rooms = [session.name for session in steady for _ in session.places]
     for size in TABLES:
-        found = measured_ratio(_errors(steady, "table", size), exact, options.rng, groups=rooms)
+        by_table = walk_errors(steady, lattice, estimate, method="table", table_size=size)
+        found = measured_ratio(by_table, exact, options.rng, groups=rooms)
         what = f"SHC RMSE of projection by table {size[0]}x{size[1]} over that without"
         cases, is_detail = of_rooms("places", rooms), size != TABLES[1]
         yield Row(what, "times", *found, "cannot be compared", LIGHT, cases=cases, is_detail=is_detail)
-
-
-def _errors(sessions: Sequence[Session], method: NearestMethod, size: tuple[int, int]) -> list[float]:
-    lattice, projection = AnchorLattice(1280), estimators.load("projection", 1280, "ldr")
-    return [
-        shc_rmse(projection.estimate(cloud), place.true_ldr)
-        for session in sessions
-        for cloud, place in zip(walked(session, lattice, method=method, table_size=size), session.places, strict=True)
-    ]
 
 
 STUDY = Study(

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from xihe_blender.errors import UserError
-from xihe_blender.lab.paper.clouds import View, views, with_truth
+from xihe_blender.lab.paper.clouds import View, several_views
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet import estimators
 from xihenet.metrics import shc_rmse
@@ -25,9 +24,7 @@ SHARE = "In the paper 607 of 1280 anchors are set on average. The number depends
 
 
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
-    found = list(views(with_truth(sessions), 20 if options.quick else 100))
-    if len(found) < 2:
-        raise UserError("fewer than two frames of steady rooms have a place in view")
+    found = several_views(sessions, options, is_steady=True)
     rooms, rng = [view.room for view in found], options.rng
     cases = of_rooms("views", rooms)
     sizes = QUICK_SIZES if options.quick else tuple(PAPER_RMSE)

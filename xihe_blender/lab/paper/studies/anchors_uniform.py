@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xihe_blender.errors import UserError
-from xihe_blender.lab.paper.clouds import views, walked, with_truth
+from xihe_blender.lab.paper.clouds import views, walk_errors, with_truth
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, ArrayInt
@@ -98,17 +99,10 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         errors = measured([shc_rmse(equally_weighted(one, lattice), one) for one in lights], rng, groups=rooms)
         what = f"{name}: all seen, equal weights"
         yield Row(what, "SHC RMSE", *errors, "cannot be compared", WHOLE, cases=of_rooms("places", rooms))
-    ratio = measured_ratio(_errors(steady, ANCHORS["grid"]), _errors(steady, ANCHORS["even"]), rng, groups=rooms)
+    even, grid = (walk_errors(steady, one, partial(project_anchors, lattice=one)) for one in ANCHORS.values())
+    ratio = measured_ratio(grid, even, rng, groups=rooms)
     what = "grid over even, error of the walk"
     yield Row(what, "times", *ratio, "cannot be compared", ERROR, cases=of_rooms("places", rooms))
-
-
-def _errors(sessions: Sequence[Session], lattice: AnchorLattice) -> list[float]:
-    return [
-        shc_rmse(project_anchors(cloud, lattice), place.true_ldr)
-        for session in sessions
-        for cloud, place in zip(walked(session, lattice), session.places, strict=True)
-    ]
 
 
 STUDY = Study(

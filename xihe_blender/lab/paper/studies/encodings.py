@@ -7,8 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from xihe_blender.errors import UserError
-from xihe_blender.lab.paper.clouds import views
+from xihe_blender.lab.paper.clouds import several_views
 from xihe_blender.lab.paper.records import (
     Row,
     Session,
@@ -42,9 +41,7 @@ TIME = "Ours in NumPy on one core, in one call; theirs in C# on an iPad Pro, in 
 
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
     lattice, rng = AnchorLattice(1280), options.rng
-    found = list(views(sessions, 20 if options.quick else 100))
-    if len(found) < 2:
-        raise UserError("fewer than two frames of the sessions have a place in view")
+    found = several_views(sessions, options)
     clouds = [view.cloud(lattice) for view in found]
     rooms, ms = [view.room for view in found], {}
     for method, (unit, paper_bytes, paper_ms) in PAPER.items():

@@ -8,8 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from xihe_blender.errors import UserError
-from xihe_blender.lab.paper.clouds import View, views, with_truth
+from xihe_blender.lab.paper.clouds import View, several_views
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet import estimators
 from xihenet.edge.batching import Inference, Job
@@ -37,9 +36,7 @@ SPEED = "Theirs on an RTX 2080Ti with 512 anchors, at best; ours in NumPy on one
 
 
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
-    found = list(views(with_truth(sessions), 20 if options.quick else 100))
-    if len(found) < 2:
-        raise UserError("fewer than two frames of steady rooms have a place in view")
+    found = several_views(sessions, options, is_steady=True)
     rooms, rng = [view.room for view in found], options.rng
     of_mean = np.array([shc_rmse(_mean_elsewhere(view, found), view.place.true_ldr) for view in found])
     cases = of_rooms("views", rooms)
