@@ -23,7 +23,6 @@ from xihenet.svg import icon
 
 MAX_FRAMES = 16
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_SHOWN_MISSING = 12
 
 
 def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
@@ -43,8 +42,7 @@ def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
     )
     strips = "".join(_strip(i, frame, compared[frame.frame], meanings, outputs) for i, frame in enumerate(chosen))
     viewer = f'{radios}{_scrubber(chosen)}<div class="moments">{strips}</div>{_wipe(kinds)}'
-    notes = _left_out(frames, chosen) + _missing(compared, outputs)
-    return f'{_choosing_rules(len(chosen))}<div class="viewer">{viewer}</div>{notes}'
+    return f'{_choosing_rules(len(chosen))}<div class="viewer">{viewer}</div>{_left_out(frames, chosen)}'
 
 
 def _composited(results: RunResults, outputs: RunOutputs) -> dict[int, ComparedFrame]:
@@ -231,19 +229,3 @@ def _left_out(frames: Sequence[FrameResult], chosen: Sequence[FrameResult]) -> s
         f"{format_count(len(others), 'more frame')} are files beside this page, in {code('pictures/')}: "
         f"{format_runs(others)}.</p>"
     )
-
-
-def _missing(compared: Mapping[int, ComparedFrame], outputs: RunOutputs) -> str:
-    """Names every picture that the results promise and the folder does not hold, also of frames not shown."""
-    missing = [
-        _shown_path(path, outputs)
-        for frame in compared.values()
-        for name in frame.pictures.values()
-        if not (path := outputs.folder / name).is_file()
-    ]
-    if not missing:
-        return ""
-    named = [code(path) for path in missing[:_SHOWN_MISSING]]
-    if len(missing) > _SHOWN_MISSING:
-        named.append(f"{len(missing) - _SHOWN_MISSING} more")
-    return f'<p class="warning">{format_count(len(missing), "picture").capitalize()} missing: {format_list(named)}.</p>'
