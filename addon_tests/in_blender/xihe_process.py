@@ -8,8 +8,10 @@ import sys
 import warnings
 from pathlib import Path
 
+import bpy
+
 from xihe_blender.cli.main import main
-from xihe_blender.lab.workers.processes import is_whole_blender, module_command
+from xihe_blender.lab.workers.processes import module_command
 
 ROOT = Path(__file__).resolve().parents[2]
 BEGINS = "---- the command begins ----\n"
@@ -18,14 +20,14 @@ BEGINS = "---- the command begins ----\n"
 def typed(*arguments):
     """What is started; warnings are errors in the command as well."""
     words = [str(argument) for argument in arguments]
-    if is_whole_blender():
+    if bpy.app.binary_path:  # A whole Blender, and not the bpy wheel, which has no program to start
         return [*module_command("xihe_process"), *words]
     return [sys.executable, "-W", "error", "-m", "xihe_blender", *words]
 
 
 def said(text):
     """`text` of a process without what a whole Blender said before the command began."""
-    return text.partition(BEGINS)[2] if is_whole_blender() else text
+    return text.partition(BEGINS)[2] if bpy.app.binary_path else text
 
 
 def xihe(*arguments, **options):

@@ -10,6 +10,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, TypeVar
 
 from xihenet import estimators
@@ -35,6 +36,12 @@ def adder(parser: argparse._ActionsContainer) -> Callable[..., None]:
         parser.add_argument(name, help=words, **more)
 
     return add
+
+
+def add_scene(add: Callable[..., None], out: str) -> None:
+    """The arguments of all commands that work on one scene; `out` says what --out is the folder of."""
+    add("scene SCENE.blend", SCENE, Path)
+    add("--out DIR", out, Path, required=True)
 
 
 def add_capture(add: Callable[..., None], *, has_estimator: bool = True) -> None:

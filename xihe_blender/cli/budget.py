@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from xihe_blender.cli import arguments
@@ -16,8 +15,7 @@ SEEDS = "how often all is rendered and measured, each time with another seed, wh
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
-    add("scene SCENE.blend", arguments.SCENE, Path)
-    add("--out DIR", "folder of the budget; what is rendered is kept in it and resumed", Path, required=True)
+    arguments.add_scene(add, "folder of the budget; what is rendered is kept in it and resumed")
     arguments.add_capture(add)
     add("--objects A,B", arguments.OBJECTS, arguments.names)
     add("--moments N", MOMENTS, int, dest="n_moments", default=4)

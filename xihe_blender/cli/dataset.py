@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from xihe_blender.cli.arguments import FRAMES, SCENE, adder, frame_range, names, settings_from
+from xihe_blender.cli.arguments import FRAMES, add_scene, adder, frame_range, names, settings_from
 from xihe_blender.cli.progress import progress_line, when_news
 from xihe_blender.jobs import run_blocking
 from xihenet.formats import format_count
@@ -35,8 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scene = actions.add_parser("scene", help="store a scene with a camera path as one more room")
     scene.set_defaults(act=_scene)
     add = adder(scene)
-    add("scene SCENE.blend", SCENE, Path)
-    add("--out DIR", "folder of scenes; a scene of the same name is replaced", Path, required=True)
+    add_scene(add, "folder of scenes; a scene of the same name is replaced")
     add("--frames A:B[:S]", FRAMES, frame_range)
     add("--at A,B", "objects that mark the positions; default: the virtual objects", names)
 

@@ -12,7 +12,6 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihenet.formats import format_percent
 
-OUT = "folder of the advice; captures in it are resumed, and used again for other objects"
 VERIFY = "render the advised look, random ones and a light probe at each object, and say the true errors"
 MAP = "one look for all places where an object could stand; needs no virtual object"
 CAMERA = "save a copy of the scene whose camera does the look advised for the first object"
@@ -20,8 +19,7 @@ CAMERA = "save a copy of the scene whose camera does the look advised for the fi
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
-    add("scene SCENE.blend", arguments.SCENE, Path)
-    add("--out DIR", OUT, Path, required=True)
+    arguments.add_scene(add, "folder of the advice; captures in it are resumed, and used again for other objects")
     add("--objects A,B", arguments.OBJECTS, arguments.names)
     add("--map", MAP, action="store_true", dest="is_for_map")
     add("--verify", VERIFY, action="store_true", dest="is_verified")

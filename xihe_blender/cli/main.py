@@ -67,9 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     open_closed_streams()
     try:
         if typed[:1] == ["train"]:
-            from xihe_blender.cli.train import train
-
-            return train(typed[1:])
+            return _train(typed[1:])
         options = command_parser(typed[0] if typed else "").parse_args(with_positions_bound(typed))
         options.command_line = shlex.join(["xihe", *typed])
         with blender_output_aside() as (stdout, stderr), notes_on(stderr):
@@ -94,6 +92,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{start}xihe: stopped; run the same command again to resume", file=sys.stderr)
         return EXIT_INTERRUPTED
     return code or 0
+
+
+def _train(typed: Sequence[str]) -> int:
+    """`xihe train` has its own command line, which needs torch and no Blender; UserError without torch."""
+    try:
+        from xihenet.training.__main__ import main as train
+    except ImportError as error:
+        raise UserError("train: torch is not installed: pip install 'xihe-blender[train]'") from error
+    return train(typed)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from xihe_blender.cli import arguments
@@ -12,24 +11,17 @@ from xihe_blender.jobs import run_blocking
 from xihenet.formats import format_count
 
 SPACING = "distance between places, however many that makes; default: the smallest that --places allows"
+CLEARANCE = "height of a place above its surface; default: 0.1"
 PLACES = "largest number of places; default: 1000"
 VERIFY = "places whose light probe is rendered, to say how far the map is right; default: 0"
-OUT = "folder of the map; captures in it are resumed, and used again for other places"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
-    add("scene SCENE.blend", arguments.SCENE, Path)
-    add("--out DIR", OUT, Path, required=True)
+    arguments.add_scene(add, "folder of the map; captures in it are resumed, and used again for other places")
     add("--height METRES", "a grid in free air at this height; default: upward surfaces", float, dest="height_m")
     add("--spacing METRES", SPACING, float, dest="spacing_m")
-    add(
-        "--clearance METRES",
-        "height of a place above its surface; default: 0.1",
-        float,
-        dest="clearance_m",
-        default=0.1,
-    )
+    add("--clearance METRES", CLEARANCE, float, dest="clearance_m", default=0.1)
     add("--reach METRES", "largest distance of a place from the camera", float, dest="reach_m", default=5.0)
     add("--places N", PLACES, int, dest="most", default=1000)
     add("--verify N", VERIFY, int, dest="n_verified", default=0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from xihe_blender.cli import arguments
@@ -20,8 +19,7 @@ SAMPLES = "samples of every capture, and pictures of every light probe, whatever
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
-    add("scene SCENE.blend", arguments.SCENE, Path)
-    add("--out DIR", "folder of the run; a stopped run in it is resumed", Path, required=True)
+    arguments.add_scene(add, "folder of the run; a stopped run in it is resumed")
     arguments.add_capture(add)
     add("--captured path|in-view", CAPTURED, default="path")
     add("--backend URL", arguments.BACKEND)

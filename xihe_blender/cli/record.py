@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from xihe_blender.cli import arguments
@@ -19,8 +18,7 @@ PLACES = "position of the true light in metres; may be repeated; default: at the
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = arguments.adder(parser)
-    add("scene SCENE.blend", arguments.SCENE, Path)
-    add("--out DIR", "folder of the recording; a stopped one in it is resumed", Path, required=True)
+    arguments.add_scene(add, "folder of the recording; a stopped one in it is resumed")
     arguments.add_capture(add, has_estimator=False)
     add("--samples N", arguments.SAMPLES, int)
     add("--metering NAME", "highlights, as phones do, or key; default: the phone's own")

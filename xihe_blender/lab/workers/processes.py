@@ -24,11 +24,6 @@ import bpy
 EXIT_CRASHED = 70
 
 
-def is_whole_blender() -> bool:
-    """Whether this is the application, and not the bpy wheel, which has no program to start."""
-    return bool(bpy.app.binary_path)
-
-
 def module_command(module: str, blender: str | None = None) -> list[str]:
     """The start of a command line that runs `module`; its arguments follow. Exit code and streams are the module's.
 
