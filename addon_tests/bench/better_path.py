@@ -7,14 +7,13 @@ In each scene the phone captures a --part of its path, the look is chosen for ea
 and up to --turn degrees off the path, and the look, --random ones and a light probe at the object are rendered. Scenes
 without virtual objects get a small sphere at the first empties named `placement_...`, --most of them, in memory. A
 random second is at a random frame and in a random direction within the same reach of the same phone, and is captured in
-the same way. Errors are SHC RMSE after the last frame of the part; both targets are held against the same captures. A
-row an object, random seconds by their mean; medians at the end, of those objects that there was advice for.
+the same way. Errors are SHC RMSE after the last frame of the part, of both targets. A row an object, random seconds by
+their mean; medians at the end, of those objects that there was advice for.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,12 +27,10 @@ from xihe_blender.cli.arguments import picture_size
 from xihe_blender.io.blender_output import blender_output_aside
 from xihe_blender.io.look_results import ObjectAdvice
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.better_path import LookWishes, find_looks, object_positions, verify_looks
-from xihe_blender.previs.captured_path import CapturedPath, capture_path
-from xihe_blender.previs.settings import PrevisSettings, load_estimators
+from xihe_blender.previs.better_path import LookWishes, better_path
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.sphere_rig import sphere_mesh
-from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.walk.looks import LookSettings
 
@@ -53,14 +50,7 @@ def add_spheres(scene: bpy.types.Scene, most: int) -> None:
     bpy.context.view_layer.update()
 
 
-def of_target(captured: CapturedPath, target: str) -> CapturedPath:
-    """The same captures, for estimates of another target."""
-    settings = replace(captured.run.settings, target=target)
-    run = replace(captured.run, settings=settings, estimators=load_estimators(settings))
-    return CapturedPath(run, replace(captured.session, settings=settings))
-
-
-def tried(path: Path, options: argparse.Namespace) -> dict[str, list[ObjectAdvice]]:
+def tried(path: Path, options: argparse.Namespace) -> dict[str, Sequence[ObjectAdvice]]:
     """The advice for each object of a scene, with true errors, by target."""
     scene = open_blend(path)
     add_spheres(scene, options.most)
@@ -69,15 +59,10 @@ def tried(path: Path, options: argparse.Namespace) -> dict[str, list[ObjectAdvic
     settings = PrevisSettings(preset="draft", size=options.size, frames=part, seed=options.seed)
     looks = LookSettings(largest_turn_deg=options.turn, most_frames=options.tried)
     wishes = LookWishes(is_verified=True, n_random=options.random, looks=looks)
-    with contextlib.ExitStack() as held, scene_kept():
-        objects = object_positions(scene, settings, None)
-        out = options.out / f"{path.stem}_{len(part)}"
-        captured = run_blocking(capture_path(scene, out, settings, "look", held, blend_file=path))
-        found = {}
-        for target in ("hdr", "ldr"):
-            of_one = of_target(captured, target)
-            advised = run_blocking(find_looks(of_one.session, objects, wishes.looks))
-            found[target] = [one.advice for one in run_blocking(verify_looks(of_one, advised, wishes))]
+    found = {}
+    for target in ("hdr", "ldr"):
+        out, of_one = options.out / f"{path.stem}_{len(part)}_{target}", replace(settings, target=target)
+        found[target] = run_blocking(better_path(scene, out, of_one, wishes, blend_file=path)).objects
     return found
 
 

@@ -114,12 +114,8 @@ def angles(run: PreparedRun, walked: WalkedPath, estimator: str) -> dict[str, li
             true = walked.lights[estimated]["truth"][probe.object_name].key
             key = light.key
             angle = np.nan if key is None else degrees(key.direction, lamp)
-            if (
-                key is not None
-                and before is not None
-                and key.direction @ before < JUMP
-                and angle > degrees(before, lamp)
-            ):
+            has_jumped = key is not None and before is not None and key.direction @ before < JUMP
+            if has_jumped and angle > degrees(before, lamp):
                 found["away"].append(angle)
             before = before if key is None else key.direction
             if has_equal(luminance, patch, lamp):

@@ -1,11 +1,11 @@
 """How often does a room leak through near surfaces, and what do patches and facing do to the light? Tables of the docs.
 
-    python addon_tests/bench/leaks.py blend_scenes/living_room.blend ROOM.blend ... [--keep FOLDER]
+    python addon_tests/bench/leaks.py blend_scenes/living_room.blend ROOM.blend ...
 
 Positions are those of `reference.py`; frames are six along the path, at 256x192 and at 128x96. A leak is a set anchor
 below the position whose distance lies more than 10 % outside the range of 64 rays through its cell, where the camera
 saw what at least half of them hit. Errors are SHC RMSE over the norm of the truth, the reference probe with a noise of
-3 %. `--keep` stores what was rendered, so that the next call renders nothing.
+3 %.
 """
 
 from __future__ import annotations
@@ -112,11 +112,11 @@ def are_leaks(cloud: UnitSphereCloud, ray_distance_m: np.ndarray, is_seen: np.nd
 
 
 def measure(seen: Any, size: int) -> tuple[list[float], dict[str, list[float]]]:
-    """Leaks in per cent, as points and with patches; and by estimator the errors one view has and six merged have.
+    """Leaks in per cent, as points and with patches; and the errors that one view has and six merged have.
 
     Errors are those of points, of patches, and of patches with the weights of their facing.
     """
-    lattice, projection = estimators.load("lattice"), estimators.load("projection")
+    projection = estimators.load("projection")
     n_leaks, n_set = np.zeros(2), np.zeros(2)
     errors: dict[str, list[np.ndarray]] = {}
     merged: dict[int, list[UnitSphereCloud]] = {}
@@ -124,10 +124,9 @@ def measure(seen: Any, size: int) -> tuple[list[float], dict[str, list[float]]]:
     def note(kind: str, position: int, clouds: list[UnitSphereCloud]) -> None:
         truth = seen["truth"][position]
         plain, patched = (replace(cloud, surfaces=None) for cloud in clouds)
-        for estimator in (projection, lattice):
-            lights = [estimator.estimate(cloud) for cloud in (plain, patched, clouds[1])]
-            found = [shc_rmse(light, truth) / np.sqrt((truth**2).mean()) for light in lights]
-            errors.setdefault(f"{estimator.name}, {kind}", []).append(np.array(found))
+        lights = [projection.estimate(cloud) for cloud in (plain, patched, clouds[1])]
+        found = [shc_rmse(light, truth) / np.sqrt((truth**2).mean()) for light in lights]
+        errors.setdefault(f"projection, {kind}", []).append(np.array(found))
 
     of_size = {name: seen[f"{name}_{size}"] for name in ("srgb_u8", "plane_depth_m", "intrinsics")}
     for k, frame in enumerate(frames_of({**seen, **of_size})):
@@ -146,13 +145,9 @@ def measure(seen: Any, size: int) -> tuple[list[float], dict[str, list[float]]]:
 
 
 def main() -> None:
-    arguments = given(__doc__, "scenes+", keep=(Path, None))
     lines = []
-    for path in arguments.scenes:
-        kept = arguments.keep / f"{path.stem}.npz" if arguments.keep else None
-        seen: Any = dict(np.load(kept)) if kept and kept.exists() else observe(path)
-        if kept and not kept.exists():
-            np.savez(kept, **seen)
+    for path in given(__doc__, "scenes+").scenes:
+        seen = observe(path)
         for size in SIZES:
             leaks, errors = measure(seen, size[0])
             lines.append(f"| {path.stem} {size[0]}x{size[1]} | leaks, % | {leaks[0]:.1f} | {leaks[1]:.1f} | |")

@@ -10,22 +10,19 @@ over recordings, and in how many the estimator with the best score is also the o
 
 from __future__ import annotations
 
-import json
-from functools import reduce
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 from given import given
 
+from xihe_blender.lab.paper.clouds import walk_errors
+from xihe_blender.lab.paper.records import Place, Session
 from xihenet import estimators
-from xihenet.buffers import merge
-from xihenet.camera import unproject_frame
 from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture
+from xihenet.io.json_files import read_json
 from xihenet.left_out import score_places, score_session
-from xihenet.metrics import shc_rmse
-from xihenet.records import ArrayF64
-from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 from xihenet.walk.placement import rank_correlation
 
@@ -34,16 +31,12 @@ NAMES = ("ambient", "projection", "xihenet", "lattice")
 
 def true_errors(capture: Capture, folder: Path) -> dict[str, float]:
     """Mean over the places whose light stays the same."""
-    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    by_name: dict[str, list[tuple[ArrayF64, ArrayF64]]] = {}
-    for one in truth["places"]:
-        by_name.setdefault(one["name"], []).append((np.array(one["position_m"]), np.array(one["ldr"])))
-    lattice, errors = AnchorLattice(1280), {name: [] for name in NAMES}
-    points = [unproject_frame(frame, reference_exposure=truth["exposure"]) for frame in capture]
-    for place_m, true in (found[0] for found in by_name.values() if len(found) == 1):
-        cloud = reduce(merge, [sample_unit_sphere(one, place_m, lattice) for one in points])
-        for name in NAMES:
-            errors[name].append(shc_rmse(estimators.load(name, target="ldr").estimate(cloud), true))
+    truth = read_json(folder / "truth.json")
+    n_lights = Counter(one["name"] for one in truth["places"])
+    steady = [one for one in truth["places"] if n_lights[one["name"]] == 1]
+    places = [Place(one["name"], np.array(one["position_m"]), np.array(one["ldr"])) for one in steady]
+    walk, lattice = Session(folder.name, list(capture), truth["exposure"], places), AnchorLattice(1280)
+    errors = {name: walk_errors([walk], lattice, estimators.load(name, target="ldr").estimate) for name in NAMES}
     return {name: float(np.mean(found)) if found else np.nan for name, found in errors.items()}
 
 

@@ -2,11 +2,11 @@
 
     python addon_tests/bench/test_rooms.py FOLDER_OF_TEST_ROOMS --training FOLDER_OF_TRAINING_ROOMS
 
-Rooms are those of `xihe dataset build`. One view: each view
-with each position that is in view and not hidden. All views: those of one position merged, where there are two or more.
-Errors are SHC RMSE against the light clipped at white, the mean
-over clouds, divided by that of the mean predictor: the mean light of the training rooms, whatever is seen. Points and
-patches are two ways to sample, see `xihenet.patches`; facing weighs patches by how they face the position.
+Rooms are those of `xihe dataset build`. One view: each view with each position that is in view and not hidden. All
+views: those of one position merged, where there are two or more. Errors are SHC RMSE against the light clipped at
+white, the mean over clouds, divided by that of the mean predictor: the mean light of the training rooms, whatever is
+seen. Points and patches are two ways to sample, see `xihenet.patches`; facing weighs patches by how they face the
+position.
 """
 
 from __future__ import annotations

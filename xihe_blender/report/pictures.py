@@ -173,15 +173,13 @@ def _embedded(kind: str, number: int, compared: ComparedFrame, outputs: RunOutpu
     path = outputs.folder / name if name else outputs.picture(kind, number)
     content = _read_png(path, outputs.folder)
     if content is None:
-        return f'<div class="missing"><span>No picture here. Expected {code(_shown_path(path, outputs))}</span></div>'
+        return (
+            f'<div class="missing"><span>No picture here. Expected {code(name or outputs.relative(path))}</span></div>'
+        )
     width, height = struct.unpack(">II", content[16:24])
     words = escape(f"{kind_label(kind)}, frame {number}")
     size = f'width="{width}" height="{height}"'
     return f'<img data-kind="{escape(kind)}" {size} alt="{words}" src="{png_url(content)}">'
-
-
-def _shown_path(path: Path, outputs: RunOutputs) -> str:
-    return outputs.relative(path) if path.is_relative_to(outputs.folder) else str(path)
 
 
 def _read_png(path: Path, folder: Path) -> bytes | None:
