@@ -25,33 +25,21 @@ def test_a_run_that_ended_early_says_how_to_go_on_and_where_its_console_is(tmp_p
         assert str(raised.value) == f"the run ended early{ended}: Resume goes on with it. Its console is in {console}"
 
 
-def test_a_run_finds_its_scene_under_another_name_where_no_other_can_be_meant(tmp_path):
-    scene = bpy.context.scene
-    run = saved_for_run(scene, tmp_path, {})
-    asked = scene.name
-    scene.name = "Kitchen"
-    assert run.find_scene() == scene
-    other = bpy.data.scenes.new("Bath")
-    with pytest.raises(UserError, match=f"no scene is called '{asked}' any more: give the run's scene that name"):
-        run.find_scene()
-    other.name = asked
-    assert run.find_scene() == other
-    bpy.data.scenes.remove(other)
-    scene.name = asked
-
-
-def test_a_run_whose_scene_was_deleted_is_shown_in_no_other(tmp_path):
+def test_a_run_whose_scene_was_renamed_or_deleted_is_shown_in_no_other(tmp_path):
     hall, kitchen = bpy.context.scene, bpy.data.scenes.new("Kitchen")
     run = saved_for_run(kitchen, tmp_path, {})
-    kitchen.name = "Bath"
     assert run.find_scene() == kitchen
-    bpy.data.scenes.remove(kitchen)
-    with pytest.raises(UserError, match="no scene is called 'Kitchen' any more"):
+    kitchen.name = "Bath"
+    with pytest.raises(UserError, match="no scene is called 'Kitchen' any more: give the run's scene that name"):
         run.find_scene()
+    bpy.data.scenes.remove(kitchen)
+    asked, hall.name = hall.name, "Kitchen"
+    assert run.find_scene() == hall
     hall[ROOM] = True
     with pytest.raises(UserError, match="no scene is called 'Kitchen' any more"):
         run.find_scene()
     del hall[ROOM]
+    hall.name = asked
 
 
 def test_the_mouse_pointer_shows_the_progress_of_a_job_in_this_file_alone():

@@ -3,6 +3,7 @@
 import bpy
 import numpy as np
 import pytest
+from addon_runs import registered_addon
 from tiny_scenes import box, room_with_a_virtual_sphere
 
 from xihe_blender.addon import overlay
@@ -41,11 +42,10 @@ def test_an_object_that_a_run_would_refuse_shows_no_positions_and_the_others_do(
 
 
 def test_an_overlay_is_never_made_in_background():
-    before = [list(handlers) for handlers in overlay.listened_to()]
-    overlay.register()
-    assert overlay._overlay is None
-    assert [list(handlers) for handlers in overlay.listened_to()] == before
-    overlay.unregister()
+    with registered_addon():
+        assert overlay._overlay is None
+        for name in overlay.HANDLERS:
+            assert overlay.forget_positions not in getattr(bpy.app.handlers, name)
 
 
 def test_coverage_goes_from_one_colour_to_the_other_and_unknown_has_its_own():

@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import importlib
 from types import ModuleType
+from typing import Any
 
 import bpy
 
@@ -31,6 +32,8 @@ MODULES = (
     "comparison_view",
     "command",
 )
+IN_A_WINDOW = ("live_light", "overlay", "comparison_view")
+"""Modules whose handlers wait for what a user does."""
 
 
 def register(package: str) -> None:
@@ -43,6 +46,8 @@ def register(package: str) -> None:
         except Exception:
             _unregister(modules[:place])
             raise
+        for handlers, called in _handlers(module):
+            handlers.append(called)
     if getattr(bpy.app, "module", False):
         # The wheel of Blender 4.5 never ends where something is still registered.
         atexit.register(unregister)
@@ -58,6 +63,15 @@ def _modules() -> list[ModuleType]:
     return [importlib.import_module(f"{__name__}.{name}") for name in MODULES]
 
 
+def _handlers(module: ModuleType) -> list[tuple[list[Any], Any]]:
+    """The HANDLERS of a module, by name of the list of `bpy.app.handlers` that each belongs into."""
+    is_wanted = not bpy.app.background or module.__name__.rpartition(".")[2] not in IN_A_WINDOW
+    wanted = getattr(module, "HANDLERS", {}) if is_wanted else {}
+    return [(getattr(bpy.app.handlers, name), called) for name, called in wanted.items()]
+
+
 def _unregister(modules: list[ModuleType]) -> None:
     for module in reversed(modules):
+        for handlers, called in _handlers(module):
+            handlers.remove(called)
         module.unregister()

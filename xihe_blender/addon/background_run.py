@@ -52,7 +52,6 @@ class RunRequest:
     blend, copy : the open file, and its copy in the run's folder
     started : when the scene looked as the run knows it
     choices : parameters of PrevisSettings
-    others : names of the file's other scenes, which the run's scene is not even where it was renamed
     """
 
     blend: str
@@ -61,7 +60,6 @@ class RunRequest:
     started: float
     command: str
     choices: Parameters
-    others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,19 +187,14 @@ class BackgroundRun:
         apply_results(self.find_scene(), self.folder)
 
     def find_scene(self) -> bpy.types.Scene:
-        """The scene of the open file that it is a run of: that of its name, or the only new name, as it was renamed.
-
-        UserError where neither is there.
-        """
+        """The scene of the open file that it is a run of; UserError where none has its name."""
         name = self.request.scene
-        rooms = [scene for scene in bpy.data.scenes if scene.library is None and ROOM not in scene]
-        found = [scene for scene in rooms if scene.name == name]
-        found = found or [scene for scene in rooms if scene.name not in self.request.others]
-        if len(found) != 1:
+        found = bpy.data.scenes.get((name, None))
+        if found is None or ROOM in found:
             raise UserError(
                 f"no scene is called {name!r} any more: give the run's scene that name and show it again, or discard it"
             )
-        return found[0]
+        return found
 
 
 def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> BackgroundRun:
@@ -209,8 +202,7 @@ def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> 
     copy, started = f"{cut_stem(Path(bpy.data.filepath).stem) or 'untitled'}.blend", time.time()
     with _no_file_previews():
         save_copy(scene, folder / copy)
-    others = tuple(other.name for other in bpy.data.scenes if other != scene)
-    request = RunRequest(bpy.data.filepath, copy, scene.name, started, COMMAND, choices, others)
+    request = RunRequest(bpy.data.filepath, copy, scene.name, started, COMMAND, choices)
     write_json(RunOutputs(folder).request, as_json(request))
     return BackgroundRun(folder)
 

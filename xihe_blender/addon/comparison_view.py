@@ -79,17 +79,18 @@ def _playhead_moved(*_: Any) -> None:
         bpy.app.timers.register(follow_playhead, first_interval=0.0)
 
 
+HANDLERS = {"frame_change_post": _playhead_moved}
+
+
 def register() -> None:
     if bpy.app.background:
         return
     _handles.append(bpy.types.SpaceImageEditor.draw_handler_add(draw_labels, (), "WINDOW", "POST_PIXEL"))
     bpy.types.IMAGE_HT_header.append(draw_wipe)
-    bpy.app.handlers.frame_change_post.append(_playhead_moved)
 
 
 def unregister() -> None:
     if not _handles:
         return
-    bpy.app.handlers.frame_change_post.remove(_playhead_moved)
     bpy.types.IMAGE_HT_header.remove(draw_wipe)
     bpy.types.SpaceImageEditor.draw_handler_remove(_handles.pop(), "WINDOW")

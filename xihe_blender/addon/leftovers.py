@@ -83,17 +83,14 @@ def _show_run_beside() -> None:
             choose_as_run(room, run)
 
 
+HANDLERS = {"undo_post": _after_undo, "redo_post": _after_undo, "load_post": _after_load}
+
+
 def register() -> None:
     # Once data can be reached; where a file is loaded before, `_after_load` does it.
     bpy.app.timers.register(_look_for_run, first_interval=0.0)
-    bpy.app.handlers.undo_post.append(_after_undo)
-    bpy.app.handlers.redo_post.append(_after_undo)
-    bpy.app.handlers.load_post.append(_after_load)
 
 
 def unregister() -> None:
-    bpy.app.handlers.undo_post.remove(_after_undo)
-    bpy.app.handlers.redo_post.remove(_after_undo)
-    bpy.app.handlers.load_post.remove(_after_load)
     if bpy.app.timers.is_registered(_look_for_run):
         bpy.app.timers.unregister(_look_for_run)

@@ -186,23 +186,20 @@ _register_classes, _unregister_classes = bpy.utils.register_classes_factory(
     (XIHE_OT_apply_light, XIHE_OT_show_lit, XIHE_OT_show_room, XIHE_OT_remove_light)
 )
 
-
-def _handlers() -> list[tuple[list[Any], Any]]:
-    handlers = bpy.app.handlers
-    undone = [(handlers.undo_post, _after_undo), (handlers.redo_post, _after_undo)]
-    return [*undone, (handlers.depsgraph_update_post, _after_update), (handlers.load_post, _after_load)]
+HANDLERS = {
+    "undo_post": _after_undo,
+    "redo_post": _after_undo,
+    "depsgraph_update_post": _after_update,
+    "load_post": _after_load,
+}
 
 
 def register() -> None:
     _register_classes()
-    for handlers, called in _handlers():
-        handlers.append(called)
     _listen()
 
 
 def unregister() -> None:
-    for handlers, called in _handlers():
-        handlers.remove(called)
     bpy.msgbus.clear_by_owner(_views)
     _views.clear()
     _unregister_classes()

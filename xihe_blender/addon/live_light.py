@@ -239,29 +239,21 @@ def _after_load(*_: Any) -> None:
     _task, _kept = None, KeptFrames()
 
 
-def _handlers() -> list[tuple[list[Any], Any]]:
-    handlers = bpy.app.handlers
-    return [
-        (handlers.depsgraph_update_post, _scene_changed),
-        (handlers.undo_post, _after_undo),
-        (handlers.redo_post, _after_undo),
-        (handlers.render_init, _before_render),
-        (handlers.load_post, _after_load),
-    ]
+HANDLERS = {
+    "depsgraph_update_post": _scene_changed,
+    "undo_post": _after_undo,
+    "redo_post": _after_undo,
+    "render_init": _before_render,
+    "load_post": _after_load,
+}
 
 
 def register() -> None:
     bpy.utils.register_class(XIHE_OT_update_light)
-    if not bpy.app.background:
-        for handlers, called in _handlers():
-            handlers.append(called)
 
 
 def unregister() -> None:
-    if not bpy.app.background:
-        for handlers, called in _handlers():
-            handlers.remove(called)
-        if bpy.app.timers.is_registered(_look):
-            bpy.app.timers.unregister(_look)
+    if bpy.app.timers.is_registered(_look):
+        bpy.app.timers.unregister(_look)
     _after_load()
     bpy.utils.unregister_class(XIHE_OT_update_light)

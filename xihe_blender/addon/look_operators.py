@@ -95,16 +95,5 @@ def _after_load(*_: Any) -> None:
     bpy.context.window_manager.xihe.looks.clear()
 
 
-_register_classes, _unregister_classes = bpy.utils.register_classes_factory(
-    (XIHE_OT_look_where, XIHE_OT_add_better_camera)
-)
-
-
-def register() -> None:
-    _register_classes()
-    bpy.app.handlers.load_post.append(_after_load)
-
-
-def unregister() -> None:
-    bpy.app.handlers.load_post.remove(_after_load)
-    _unregister_classes()
+HANDLERS = {"load_post": _after_load}
+register, unregister = bpy.utils.register_classes_factory((XIHE_OT_look_where, XIHE_OT_add_better_camera))

@@ -252,26 +252,16 @@ def forget_positions(*_: Any) -> None:
         _overlay.positions.clear()
 
 
-def listened_to() -> tuple[list[Any], ...]:
-    """Blender's lists of what it calls after a change; looked up anew, since they belong to Blender."""
-    handlers = bpy.app.handlers
-    return handlers.depsgraph_update_post, handlers.frame_change_post, handlers.load_post
+HANDLERS = dict.fromkeys(("depsgraph_update_post", "frame_change_post", "load_post"), forget_positions)
 
 
 def register() -> None:
     global _overlay
-    if bpy.app.background:
-        return
-    _overlay = Overlay()
-    for handlers in listened_to():
-        handlers.append(forget_positions)
+    _overlay = None if bpy.app.background else Overlay()
 
 
 def unregister() -> None:
     global _overlay
-    if _overlay is None:
-        return
-    for handlers in listened_to():
-        handlers.remove(forget_positions)
-    _overlay.remove()
+    if _overlay is not None:
+        _overlay.remove()
     _overlay = None

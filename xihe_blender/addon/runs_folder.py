@@ -33,25 +33,15 @@ def new_run_folder(scene: bpy.types.Scene) -> Path:
     stem = Path(bpy.data.filepath).stem or "untitled"
     name = f"{cut_stem(stem)}_{time.strftime('%Y%m%d-%H%M%S')}"
     try:
-        parent.mkdir(parents=True, exist_ok=True)
-        return _made_new(parent, name)
+        number, folder = 1, parent / name
+        while folder.exists():  # From the same second.
+            number, folder = number + 1, parent / f"{name}_{number + 1}"
+        folder.mkdir(parents=True)
+        return folder
     except OSError as error:
         raise UserError(
             f"cannot write to {parent} ({error.strerror}): choose another Runs Folder in the add-on's preferences"
         ) from error
-
-
-def _made_new(parent: Path, name: str) -> Path:
-    """`parent / name`, with a number behind it if that is taken."""
-    number = 1
-    while True:
-        folder = parent / (name if number == 1 else f"{name}_{number}")
-        try:
-            folder.mkdir()
-        except FileExistsError:
-            number += 1
-        else:
-            return folder
 
 
 def shown_runs() -> set[Path]:

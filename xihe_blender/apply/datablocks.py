@@ -42,22 +42,17 @@ OF_RUN = "xihe_of_run"
 MADE_BY = "xihe_image"
 """Custom property of our images, so that one of the user's of the same name is left alone."""
 
-
 KEY_LIGHT = "xihe_key_light"
 """Custom property of a sun of ours: its name, whatever Blender calls it now."""
-
 
 SHADOW_CATCHER = "xihe_shadow_catcher"
 """Custom property of a shadow catcher of ours: its name, whatever Blender calls it now."""
 
-
 LIGHT_OF = "xihe_light_of"
 """Custom property of a world of ours: the places that its light is of, see `LightOf`."""
 
-
 MAP = "xihe_placement_map"
 """Custom property of the mesh of the placement map; see `apply.placement_map`."""
-
 
 FRAME = "xihe_frame"
 """Custom property of the comparison: the compared frame that it shows."""

@@ -29,7 +29,6 @@ from xihenet.light.environments import laid_out
 PICTURE = "Xihe Reflections"
 """Of the nodes in a world, and the beginning of its image's name."""
 
-
 ROUGH_FROM = 0.2
 """Roughness of a highlight in which a lamp is not to be told from a disc: some 5 degrees wide."""
 

@@ -87,6 +87,9 @@ MOST_LOOKS = 12
 CAPTURE_SHARE, LOOK_SHARE, BALL_SHARE = 0.5, 0.3, 0.15
 """Of the time of each seed, as a bar of progress shows it."""
 
+Moments = Mapping[str, Sequence[int]]
+"""The frames in which errors are measured, by position."""
+
 
 def error_budget(
     scene: bpy.types.Scene,
@@ -132,47 +135,45 @@ def error_budget(
         raise UserError("no virtual object is in view of the camera in any frame: move the camera, or an object")
     with manifest.held(), scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
+        moments = {probe.name: _moments(run, probe, n_moments) for probe in run.plan.probes}
         measured = []
         for number in range(n_seeds):
-            job = _with_one_seed(with_seed(run, number), n_moments)
+            job = _with_one_seed(with_seed(run, number), moments)
             measured.append((yield from part_of(n_seeds, number, 1, job)))
         results = BudgetResults(
             **said_of_path(run, file, command, {"moments": n_moments, "seeds": n_seeds}),
-            objects=tuple(_of_object(run, item.name, measured) for item in run.plan.objects),
+            objects=tuple(_of_object(run, item.name, moments, measured) for item in run.plan.objects),
         )
         write_budget_report(out / "report.html", results)
         write_json(out / "budget.json", as_json(results))
         return results
 
 
-def _of_object(run: PreparedRun, name: str, measured: Sequence[_Measured]) -> ObjectBudget:
+def _of_object(
+    run: PreparedRun, name: str, moments: Moments, measured: Sequence[Mapping[str, SeedErrors]]
+) -> ObjectBudget:
     """The budget of one object over all seeds."""
-    moments = {frame for probe in run.plan.probes_of(name) for frame in measured[0].moments[probe.name]}
-    return over_seeds(name, tuple(sorted(moments)), [one.errors[name] for one in measured if name in one.errors])
+    frames = {frame for probe in run.plan.probes_of(name) for frame in moments[probe.name]}
+    return over_seeds(name, tuple(sorted(frames)), [errors[name] for errors in measured if name in errors])
 
 
 # ------------------------------------------------------------------------------------------------------------ one seed
 
 
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """With one seed: the moments by position, and the errors of each object that was ever in view."""
+def _with_one_seed(run: PreparedRun, moments: Moments) -> Job[dict[str, SeedErrors]]:
+    """A job: render what the budget needs with the seed of `run` and is not kept yet; the errors by object.
 
-    moments: Mapping[str, Sequence[int]]
-    errors: Mapping[str, SeedErrors]
-
-
-def _with_one_seed(run: PreparedRun, n_moments: int) -> Job[_Measured]:
-    """A job: render what the budget needs with the seed of `run` and is not kept yet, and measure the errors."""
+    Of objects that were ever in view.
+    """
     run.outputs.settings.parent.mkdir(parents=True, exist_ok=True)
     keeping = replace(run, needs=replace(run.needs, radiance=True))
     yield from part_of(1, 0, CAPTURE_SHARE, render_captures(keeping))
-    budget = _Budget(run, {probe.name: _moments(run, probe, n_moments) for probe in run.plan.probes})
+    budget = _Budget(run, moments)
     yield from part_of(1, CAPTURE_SHARE, LOOK_SHARE, look_around(run, budget.places()))
     yield from part_of(1, CAPTURE_SHARE + LOOK_SHARE, BALL_SHARE, measure_balls(run, budget.balls()))
     yield Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
     errors = {item.name: budget.of_object(item.name) for item in run.plan.objects}
-    return _Measured(budget.moments, {name: one for name, one in errors.items() if one is not None})
+    return {name: one for name, one in errors.items() if one is not None}
 
 
 def _moments(run: PreparedRun, probe: Probe, n: int) -> tuple[int, ...]:
@@ -200,7 +201,7 @@ class _Moment:
 class _Budget:
     """The chain of `run`, again and again; `moments` by position. Nothing is rendered here."""
 
-    def __init__(self, run: PreparedRun, moments: Mapping[str, Sequence[int]]) -> None:
+    def __init__(self, run: PreparedRun, moments: Moments) -> None:
         self.run, self.moments, self.phone = run, moments, phone_of_captures(run)
         self.sights, link = sights_of_path(run, self.phone), self.phone.link_in_use
         self.as_it_was = SessionParts(self.sights, run.settings.trigger_in_use, link, run.estimator, {})

@@ -38,7 +38,6 @@ NOISE_MARGIN = 1.5
 """By so much the change of a frame may exceed what the pilot saw: in a room of 48x36 pixels it did by 1.3, as colour is
 encoded and the variance falls a little slower than 1/samples."""
 
-
 PROBE_WORK, TRUTH_WORK, METHODS_WORK = 0.33, 0.75, 0.4
 """Of a reference light, whose pictures are of one size and number in most runs, and of a million samples of the ground
 truth and of all methods, where a million samples of a capture are 1: measured in five scenes

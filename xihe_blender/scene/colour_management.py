@@ -27,7 +27,6 @@ _Light = TypeVar("_Light", ArrayF32, ArrayF64)
 SAME = 1e-4
 """Between matrices: Blender 4.5 is off by 1e-6 where both spaces are Rec.709."""
 
-
 LINEAR_REC709 = ("Linear Rec.709", "Linear Rec.709 (sRGB)", "Utility - Linear - Rec.709", "Utility - Linear - sRGB")
 SRGB_DISPLAYS, PLAIN_VIEWS = ("sRGB", "sRGB - Display"), ("Standard", "Un-tone-mapped")
 
