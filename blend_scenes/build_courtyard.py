@@ -50,10 +50,8 @@ def build() -> bpy.types.Scene:
 def add_house(room: Collection) -> None:
     """The facade with a door, two windows with shutters and dark panes, and the eaves."""
     plaster = paint("Ochre plaster", (0.55, 0.36, 0.19), mottling=0.14, roughness=0.9)
-    trim, green = (
-        plain("Trim", (0.68, 0.66, 0.6), roughness=0.6),
-        plain("Green lacquer", (0.05, 0.14, 0.11), roughness=0.4),
-    )
+    trim = plain("Trim", (0.68, 0.66, 0.6), roughness=0.6)
+    green = plain("Green lacquer", (0.05, 0.14, 0.11), roughness=0.4)
     stone = plain("Sill stone", (0.5, 0.48, 0.44), roughness=0.8)
     pane = plain("Panes", (0.02, 0.025, 0.03), roughness=0.03)
     add_solid(room, "Facade", wall_solid(HOUSE, "+y"), plaster)
@@ -102,10 +100,8 @@ def add_pieces(room: Collection, rng: np.random.Generator) -> None:
     """Table, chairs, bench, planters and pots."""
     teak = wood("Teak", (0.22, 0.12, 0.06), (0.36, 0.21, 0.11), roughness=0.65)
     iron = bpy.data.materials["Wrought iron"]
-    stone, soil = (
-        plain("Trough stone", (0.36, 0.34, 0.31), roughness=0.9),
-        plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
-    )
+    stone = plain("Trough stone", (0.36, 0.34, 0.31), roughness=0.9)
+    soil = plain("Soil", (0.03, 0.02, 0.015), roughness=1.0)
     clay = plain("Terracotta", (0.42, 0.16, 0.08), roughness=0.85)
     box_leaves = foliage("Box leaves", (0.015, 0.05, 0.01), (0.07, 0.15, 0.03))
     grey_leaves = foliage("Olive leaves", (0.06, 0.09, 0.05), (0.17, 0.22, 0.13))

@@ -100,10 +100,8 @@ def add_decoration(room: Collection, rng: np.random.Generator) -> None:
     enamel = surfaces.plain("Radiator enamel", (0.74, 0.74, 0.72), roughness=0.3)
     furniture.add_radiator(Place(room, "Radiator", 1.0, 2.28), 1.5, 0.5, enamel)
     leaves = surfaces.foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
-    clay, soil = (
-        surfaces.plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
-        surfaces.plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
-    )
+    clay = surfaces.plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8)
+    soil = surfaces.plain("Soil", (0.03, 0.02, 0.015), roughness=1.0)
     furniture.add_plant(Place(room, "Plant", 2.2, 1.65), leaves, clay, soil, rng, height=1.35, spread=0.5, n_leaves=34)
     glaze = surfaces.plain("White glaze", (0.7, 0.7, 0.68), roughness=0.2)
     furniture.add_plant(
@@ -166,21 +164,9 @@ def add_light(scene: bpy.types.Scene, room: Collection) -> None:
 def add_virtual_pieces(scene: bpy.types.Scene) -> None:
     """The vase on the table, the sphere on the stool."""
     belly = [
-        (0, 0),
-        (0.055, 0),
-        (0.062, 0.008),
-        (0.098, 0.07),
-        (0.108, 0.115),
-        (0.096, 0.165),
-        (0.055, 0.215),
-        (0.036, 0.245),
-        (0.036, 0.265),
-        (0.05, 0.285),
-        (0.044, 0.287),
-        (0.028, 0.262),
-        (0.028, 0.24),
-        (0, 0.235),
-    ]
+        (0, 0), (0.055, 0), (0.062, 0.008), (0.098, 0.07), (0.108, 0.115), (0.096, 0.165), (0.055, 0.215),
+        (0.036, 0.245), (0.036, 0.265), (0.05, 0.285), (0.044, 0.287), (0.028, 0.262), (0.028, 0.24), (0, 0.235),
+    ]  # fmt: skip
     glaze = surfaces.plain("Virtual glaze", (0.62, 0.58, 0.5), roughness=0.38, coat_weight=0.25, coat_roughness=0.12)
     vase = add_virtual(scene, "Vase", revolved(belly, 64), glaze, VASE_PLACE)
     vase.modifiers.new("Soft shape", "SUBSURF").render_levels = 1

@@ -41,17 +41,8 @@ def build() -> bpy.types.Scene:
     glaze = surfaces.plain("Lamp glaze", (0.4, 0.13, 0.07), roughness=0.2)
     place = Place(room, "Lamp", 0.0, 0.0, TABLE_HEIGHT_M)
     add_table_lamp(place, glaze, kelvin=2800, watts=32.0, radiance=1.8, height=0.52)
-    set_sky(
-        scene,
-        [
-            (0.0, (0.08, 0.08, 0.1)),
-            (0.49, (0.1, 0.1, 0.12)),
-            (0.51, (1.0, 0.6, 0.4)),
-            (0.7, (0.25, 0.4, 0.8)),
-            (1.0, (0.08, 0.17, 0.5)),
-        ],
-        strength=0.8,
-    )
+    ground, dusk = [(0.0, (0.08, 0.08, 0.1)), (0.49, (0.1, 0.1, 0.12))], [(0.51, (1.0, 0.6, 0.4))]
+    set_sky(scene, [*ground, *dusk, (0.7, (0.25, 0.4, 0.8)), (1.0, (0.08, 0.17, 0.5))], strength=0.8)
     positions = arc((0.0, 0.0), 1.45, (-90, 270 - 15), (1.42, 1.5))
     walk_phone(scene, positions, np.tile((0.0, 0.0, 0.98), (len(positions), 1)), seed=21)
     return scene
@@ -85,9 +76,8 @@ def add_furniture(room: Collection, rng: np.random.Generator) -> None:
     furniture.add_bookcase(Place(room, "Bookcase 1", -2.05, -0.5, turn_deg=90), (0.95, 0.3, 2.0), walnut, books, rng)
     furniture.add_bookcase(Place(room, "Bookcase 2", -2.05, 0.5, turn_deg=90), (0.95, 0.3, 2.0), walnut, books, rng)
     furniture.add_cabinet(Place(room, "Sideboard", -0.35, -2.0, turn_deg=180), (1.5, 0.4, 0.8), oak, brass, doors=3)
-    furniture.add_chair(
-        Place(room, "Chair", 1.75, -1.3, turn_deg=-60), walnut, surfaces.fabric("Chair cloth", (0.5, 0.36, 0.12))
-    )
+    seat = surfaces.fabric("Chair cloth", (0.5, 0.36, 0.12))
+    furniture.add_chair(Place(room, "Chair", 1.75, -1.3, turn_deg=-60), walnut, seat)
     rug = surfaces.carpet("Rug", (0.42, 0.35, 0.27), (0.07, 0.12, 0.2), (0.36, 0.09, 0.05))
     disc = revolved([(0, 0), (1.2, 0), (1.2, 0.012), (0, 0.012)], 64)
     add_solid(room, "Rug", disc, rug)
@@ -102,10 +92,8 @@ def add_decoration(room: Collection, rng: np.random.Generator) -> None:
     furniture.add_curtain(Place(room, "Curtain right", 2.1, -0.98, 2.35, 90), 0.5, 2.3, linen, seed=2)
     enamel = surfaces.plain("Radiator enamel", (0.74, 0.74, 0.72), roughness=0.3)
     furniture.add_radiator(Place(room, "Radiator", 2.18, 0.0, turn_deg=-90), 1.3, 0.5, enamel)
-    black, mount = (
-        surfaces.plain("Picture frame", (0.02, 0.02, 0.02), roughness=0.4),
-        surfaces.plain("Mount", (0.78, 0.77, 0.74)),
-    )
+    black = surfaces.plain("Picture frame", (0.02, 0.02, 0.02), roughness=0.4)
+    mount = surfaces.plain("Mount", (0.78, 0.77, 0.74))
     stops = [(0.3, (0.03, 0.1, 0.18)), (0.47, (0.3, 0.42, 0.4)), (0.53, (0.7, 0.62, 0.45)), (0.7, (0.45, 0.14, 0.06))]
     for i, (x, scale) in enumerate(((-0.55, 1.5), (0.0, 2.2), (0.55, 1.8))):
         art = surfaces.painting(f"Print {i + 1}", stops, scale=scale)
@@ -115,10 +103,8 @@ def add_decoration(room: Collection, rng: np.random.Generator) -> None:
             Place(room, f"Small picture {i + 1}", x - 0.35, -2.2, 1.5, 180), (0.34, 0.34), art, black, mount
         )
     leaves = surfaces.foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
-    clay, soil = (
-        surfaces.plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
-        surfaces.plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
-    )
+    clay = surfaces.plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8)
+    soil = surfaces.plain("Soil", (0.03, 0.02, 0.015), roughness=1.0)
     furniture.add_plant(Place(room, "Plant", 1.75, 1.7), leaves, clay, soil, rng, height=1.4, spread=0.4, n_leaves=32)
     furniture.add_plant(
         Place(room, "Fern", -0.8, -2.0, 0.8), leaves, clay, soil, rng, height=0.45, spread=0.25, pot_radius=0.09
@@ -128,12 +114,8 @@ def add_decoration(room: Collection, rng: np.random.Generator) -> None:
         for y, w, h in ((-14, 6, 2.2), (-7, 5, 1.4), (-1.5, 6, 2.6), (5, 7, 1.7))
     ]
     for i, house in enumerate(houses):
-        add_solid(
-            room,
-            f"House {i + 1}",
-            house,
-            surfaces.plain(f"Facade {i + 1}", (0.3, 0.24 - 0.03 * i, 0.2 - 0.03 * i), roughness=0.9),
-        )
+        facade = surfaces.plain(f"Facade {i + 1}", (0.3, 0.24 - 0.03 * i, 0.2 - 0.03 * i), roughness=0.9)
+        add_solid(room, f"House {i + 1}", house, facade)
 
 
 def add_virtual_pieces(scene: bpy.types.Scene) -> None:

@@ -88,10 +88,8 @@ def _add_rest(room: Collection, rng: np.random.Generator) -> None:
     furniture.add_curtain(Place(room, "Curtain left", -1.5, 0.7, 2.25, 90), 0.4, 2.2, linen, seed=1)
     furniture.add_curtain(Place(room, "Curtain right", -1.5, -0.8, 2.25, 90), 0.4, 2.2, linen, seed=2)
     leaves = surfaces.foliage("Leaves", (0.02, 0.07, 0.015), (0.1, 0.22, 0.05))
-    clay, soil = (
-        surfaces.plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8),
-        surfaces.plain("Soil", (0.03, 0.02, 0.015), roughness=1.0),
-    )
+    clay = surfaces.plain("Terracotta", (0.4, 0.15, 0.07), roughness=0.8)
+    soil = surfaces.plain("Soil", (0.03, 0.02, 0.015), roughness=1.0)
     furniture.add_plant(
         Place(room, "Plant", -0.42, 1.15), leaves, clay, soil, rng, height=0.8, spread=0.25, pot_radius=0.12
     )
