@@ -285,11 +285,10 @@ def behind_m(point_m: ArrayLike, frame: RgbdFrame) -> float:
     0 where it does not, or by less than sensors err, where its pixel shows no surface, and out of view.
     """
     points_m = np.asarray(point_m, np.float64)[None]
-    if not in_view(points_m, frame.intrinsics, frame.world_from_camera)[0]:
+    _, pixels, plane_depth_m = pixels_in_view(points_m, frame.intrinsics, frame.world_from_camera)
+    if not len(pixels):
         return 0.0
-    pixels, plane_depth_m = project_points(points_m, frame.intrinsics, frame.world_from_camera)
-    column, row = pixels[0].astype(int)
-    surface_m, own_m = float(frame.plane_depth_m[row, column]), float(plane_depth_m[0])
+    surface_m, own_m = float(frame.plane_depth_m.flat[pixels[0]]), float(plane_depth_m[0])
     return own_m - surface_m if surface_m > 0 and own_m > BEHIND * surface_m else 0.0
 
 

@@ -166,7 +166,9 @@ def decode_cloud(
     """
     wire_format = _format_for(method, n_anchors)
     records = _records_of(payload, n_anchors, method)
-    distance_m, stored = _decoded_distance(records["distance_m"]), _checked_colour(records["srgb"])
+    distance_m, stored = _decoded_distance(records["distance_m"]), records["srgb"]
+    if stored.dtype.kind != "u":  # Codes cannot lie outside.
+        _refuse(~((stored >= 0) & (stored <= 1)).all(axis=1), "colours in [0, 1]", stored)
     if not wire_format.is_stripped:
         is_set, srgb = distance_m > 0, _decoded_colour(stored)
         without = counted(colour_without_distance=np.count_nonzero(srgb[~is_set].any(axis=1)))
@@ -205,13 +207,6 @@ def _decoded_distance(stored: NDArray[Any]) -> ArrayF32:
         _refuse(~((distance_m >= 0) & (distance_m < np.inf)), "a finite distance >= 0", distance_m)
         return np.abs(distance_m)
     return distance_m
-
-
-def _checked_colour(stored: NDArray[Any]) -> NDArray[Any]:
-    """(R, 3) as it came; codes cannot lie outside of [0, 1], floats are checked."""
-    if stored.dtype.kind != "u":
-        _refuse(~((stored >= 0) & (stored <= 1)).all(axis=1), "colours in [0, 1]", stored)
-    return stored
 
 
 def _decoded_colour(stored: NDArray[Any]) -> ArrayF32:

@@ -285,8 +285,10 @@ class XiheController:
         estimate, unknown_because = look.estimate, "" if look.sampled.is_set.any() else "nothing_seen"
         if estimate is not None and look.context is not None:
             cloud = look.fired.persistent
-            with look.clock.stage("estimate"):
-                estimate = self._with_key(estimate, position)
+            if estimate.is_valid:
+                with look.clock.stage("estimate"):
+                    before = position.light.key if position.light else None
+                    estimate = replace(estimate, key=self._key_light(estimate, position, before))
             unknown_because = estimate.unknown_because
             invalid = {**invalid, **self._clamped(look.followed.temporary, cloud)}
             if estimate.is_valid:
@@ -321,12 +323,6 @@ class XiheController:
         persistent = follow_light(before.persistent, after.temporary, following)
         changed = (temporary.srgb != before.temporary.srgb) | (persistent.srgb != before.persistent.srgb)
         return replace(after, persistent=persistent), int(np.count_nonzero(changed.any(axis=1)))
-
-    def _with_key(self, estimate: LightEstimate, position: _Position) -> LightEstimate:
-        if not estimate.is_valid:
-            return estimate
-        before = position.light.key if position.light else None
-        return replace(estimate, key=self._key_light(estimate, position, before))
 
     def _key_light(self, light: LightEstimate, position: _Position, previous: KeyLight | None) -> KeyLight | None:
         """Where the session asks for one."""

@@ -22,6 +22,7 @@ from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
 
 DIRECTION_WEIGHT = 2.0
+_WEIGHTS = np.array([1.0, *[DIRECTION_WEIGHT] * 8])[:, None]
 # Root mean square of coefficients that is added to the lights', in their unit: even light of 0.04, where white is 1. So
 # the dark, where every change is a large share, asks no more often than anybody sees.
 DARK_LIGHT = 0.05
@@ -37,7 +38,7 @@ def light_difference(first: UnitSphereCloud, second: UnitSphereCloud, lattice: A
     nothing; 0 where one of the clouds has no other.
     """
     clouds = [_without_nan(cloud) for cloud in (first, second)]
-    lights = [_weighed(project_anchors(cloud, lattice)) for cloud in clouds]
+    lights = [project_anchors(cloud, lattice) * _WEIGHTS for cloud in clouds]
     if not all(cloud.is_set.any() for cloud in clouds):
         return 0.0
     both = np.sqrt((_mean_square(lights[0]) + _mean_square(lights[1])) / 2)
@@ -52,12 +53,6 @@ def _without_nan(cloud: UnitSphereCloud) -> UnitSphereCloud:
     return UnitSphereCloud(
         np.where(kept[:, None], cloud.srgb, np.float32(0)), np.where(kept, cloud.distance_m, np.float32(0)), kept
     )
-
-
-def _weighed(light: ArrayF64) -> ArrayF64:
-    weights = np.full((len(light), 1), DIRECTION_WEIGHT)
-    weights[0] = 1.0
-    return light * weights
 
 
 def _mean_square(light: ArrayF64) -> ArrayF64:

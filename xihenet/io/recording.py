@@ -40,6 +40,9 @@ MOST_PLAIN_PIXELS = 320 * 240
 They are read in a fifth of the time, and half as large again.
 """
 
+LIGHT_OF_BYTES = LINEAR_OF_CODE.astype(np.float16)
+"""(256,): no two bytes have the same."""
+
 LARGEST_HALF = 65504.0
 INFINITE_HALF = 0x7C00  # Its bits; those of NaN, but for the sign, are more
 
@@ -55,7 +58,7 @@ def save_frame(path: Path, frame: RgbdFrame) -> None:
 
     ValueError for a frame number that 32 bits do not hold.
     """
-    channels: dict[str, Any] = dict(zip("RGB", np.moveaxis(_light_of_bytes()[frame.srgb_u8], 2, 0), strict=True))
+    channels: dict[str, Any] = dict(zip("RGB", np.moveaxis(LIGHT_OF_BYTES[frame.srgb_u8], 2, 0), strict=True))
     channels["Z"] = frame.plane_depth_m
     if frame.confidence is not None:
         channels["confidence"] = frame.confidence.astype(np.float16)
@@ -152,12 +155,6 @@ def _counts(text: str) -> dict[str, int]:
         if counts[reason] < 1 or not reason:
             raise ValueError(f"invalid: expected reasons with counts of 1 or more, got {entry!r:.80}")
     return counts
-
-
-@functools.cache
-def _light_of_bytes() -> NDArray[np.float16]:
-    """(256,): no two bytes have the same."""
-    return LINEAR_OF_CODE.astype(np.float16)
 
 
 @functools.cache

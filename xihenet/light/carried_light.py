@@ -28,9 +28,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
-from xihenet.light.key_light import mean_light
+from xihenet.light.key_light import brighter, mean_light
 from xihenet.light_change import ENCODED_BRIGHTEST, ENCODED_DARKEST, LightFollowing, light_change
-from xihenet.records import ArrayBool, ArrayF64, KeyLight, LightEstimate, ObjectLight, UnitSphereCloud
+from xihenet.records import ArrayBool, ArrayF64, LightEstimate, ObjectLight, UnitSphereCloud
 from xihenet.trigger import MOST_UNCHANGED, SMALLEST_STOPS, seen_from_another_angle
 
 CHANGE = LightFollowing(smallest_stops=0.02, agreeing_share=0.8, same_distance=0.05)
@@ -88,8 +88,8 @@ class CarriedLight:
             sh_radiance=estimate.sh_radiance * gain,
             expected_error=None if error is None else error * float(gain @ LUMINANCE),
             others={name: sh * gain for name, sh in estimate.others.items()},
-            key=estimate.key and _brighter(estimate.key, gain),
-            other_keys={name: _brighter(key, gain) for name, key in estimate.other_keys.items()},
+            key=estimate.key and brighter(estimate.key, gain),
+            other_keys={name: brighter(key, gain) for name, key in estimate.other_keys.items()},
         )
 
     def _expected(self, base: UnitSphereCloud) -> UnitSphereCloud:
@@ -114,10 +114,6 @@ def _seen_again(base: UnitSphereCloud, frame: UnitSphereCloud, directions: Array
     return again & ~seen_from_another_angle(base, frame, directions, VIEW_ANGLE_DEG)
 
 
-def _brighter(key: KeyLight, gain: ArrayF64) -> KeyLight:
-    return replace(key, irradiance=key.irradiance * gain)
-
-
 def blended(lights: Sequence[tuple[float, ObjectLight]]) -> ObjectLight:
     """One light of several, each with its share, which add up to 1; ValueError for none. Reflections are left out.
 
@@ -128,5 +124,5 @@ def blended(lights: Sequence[tuple[float, ObjectLight]]) -> ObjectLight:
     n, parts = len(lights), []
     for share, light in lights:
         gain = np.full(3, share * n)
-        parts.append(ObjectLight(light.sh * gain, light.key and _brighter(light.key, gain)))
+        parts.append(ObjectLight(light.sh * gain, light.key and brighter(light.key, gain)))
     return mean_light(parts)

@@ -46,7 +46,9 @@ def cube_levels(picture: ArrayF64, axes: ArrayF64 = Y_UP, side: int = SIDE) -> l
     column = ((0.75 - np.arctan2(y, x) / (2 * np.pi)) % 1 * width).astype(int) % width
     sharp = _coarser(picture[row, column], _FINER)
     source = _coarser(sharp, 2)
-    return [sharp, *(_blurred(source, side >> level, _alpha(level, side)) for level in range(1, N_LEVELS))]
+    # Of GGX, for which Babylon.js looks a level up.
+    alphas = [float(side ** (level / (N_LEVELS - 1) - 1)) for level in range(N_LEVELS)]
+    return [sharp, *(_blurred(source, side >> level, alphas[level]) for level in range(1, N_LEVELS))]
 
 
 def encode_rgbd(radiance: ArrayF64) -> ArrayU8:
@@ -69,11 +71,6 @@ def _coarser(faces: ArrayF64, by: int) -> ArrayF64:
     """The mean of each `by` times `by` texels."""
     n, side, _, channels = faces.shape
     return faces.reshape(n, side // by, by, side // by, by, channels).mean(axis=(2, 4))
-
-
-def _alpha(level: int, side: int) -> float:
-    """Of GGX, for which Babylon.js looks a level up."""
-    return float(side ** (level / (N_LEVELS - 1) - 1))
 
 
 def _blurred(faces: ArrayF64, side: int, alpha: float) -> ArrayF64:

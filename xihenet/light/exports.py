@@ -24,6 +24,7 @@ from xihenet import __version__
 from xihenet.io.png import encode_png
 from xihenet.light.cube_maps import cube_levels, encode_rgbd
 from xihenet.light.environments import encode_hdr, environment_picture, laid_out, reflections_picture
+from xihenet.light.key_light import brighter
 from xihenet.light.platforms import (
     PLATFORMS,
     Convention,
@@ -59,15 +60,10 @@ class NamedLight:
 
 def scaled(light: ObjectLight, gain: float) -> ObjectLight:
     """The light `gain` times as bright."""
-    key, reflections = light.key, light.reflections
-    return replace(
-        light,
-        sh=light.sh * gain,
-        key=None if key is None else replace(key, irradiance=key.irradiance * gain),
-        reflections=None
-        if reflections is None
-        else replace(reflections, radiance=(reflections.radiance * np.float32(gain))),
-    )
+    reflections = light.reflections
+    if reflections is not None:
+        reflections = replace(reflections, radiance=reflections.radiance * np.float32(gain))
+    return replace(light, sh=light.sh * gain, key=light.key and brighter(light.key, gain), reflections=reflections)
 
 
 def export_files(

@@ -176,7 +176,12 @@ def sure_share(key: KeyLight) -> float:
 
 def sure_part(key: KeyLight) -> KeyLight:
     """A key light with as much of its light as rough metal shows: all of one that was seen, else that share."""
-    return key if key.is_seen else replace(key, irradiance=sure_share(key) * key.irradiance)
+    return key if key.is_seen else brighter(key, sure_share(key))
+
+
+def brighter(key: KeyLight, gain: float | ArrayF64) -> KeyLight:
+    """The key light times a gain, one number or (3,)."""
+    return replace(key, irradiance=key.irradiance * gain)
 
 
 def rest_of(light: ObjectLight) -> ArrayF64:

@@ -36,7 +36,8 @@ LAMBERT = NORMALISATION * _OF_COSINE / np.pi
 """Times radiance coefficients they weight the bare polynomials; the sum is what a white diffuse surface sends back."""
 
 IN_ORDER = (0, 1, 2, 3, 4, 5, 6, 7, 8)
-_MIRRORED_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
+MIRRORED_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
+"""(9,) -1 for the spherical harmonics that change their sign with x."""
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 X_MIRRORED, Z_MIRRORED = np.diag([-1.0, 1, 1]) @ Y_UP, np.diag([1.0, 1, -1]) @ Y_UP
@@ -261,7 +262,7 @@ def in_axes(sh_radiance: ArrayF64, axes: ArrayF64) -> ArrayF64:
     if np.linalg.det(axes) > 0:
         return rotate(sh_radiance, axes)
     # Turned first, and mirrored in the engine's own x, where the functions that are odd in x change sign.
-    return _MIRRORED_X[:, None] * rotate(sh_radiance, np.diag([-1.0, 1, 1]) @ axes)
+    return MIRRORED_X[:, None] * rotate(sh_radiance, np.diag([-1.0, 1, 1]) @ axes)
 
 
 def coefficients_for(sh_radiance: ArrayF64, convention: Convention) -> ArrayF64:

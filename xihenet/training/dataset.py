@@ -29,6 +29,7 @@ from xihenet.buffers import in_sight, merge_views
 from xihenet.camera import encode_exposed
 from xihenet.codec import MAX_DISTANCE_M, facing_codes
 from xihenet.colour import srgb_to_linear
+from xihenet.light.platforms import MIRRORED_X
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayU8, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
@@ -53,8 +54,6 @@ AnyCloud = PointCloud | UnitSphereCloud
 Content = dict[str, Any]
 """What sampled clouds were made of: their settings and rooms, as the cache's settings.json holds them."""
 CACHE_VERSION = 9
-ODD_IN_X = np.array([1, 1, 1, -1, -1, 1, 1, -1, 1.0])
-"""(9,) -1 for the spherical harmonics that change their sign with x."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ class RoomChange:
 
     def of_light(self, sh_radiance: ArrayF64) -> ArrayF64:
         """Coefficients (9, 3) mirrored and turned; the gains are in them already."""
-        mirrored = sh_radiance * ODD_IN_X[:, None] if self.is_mirrored else sh_radiance
+        mirrored = sh_radiance * MIRRORED_X[:, None] if self.is_mirrored else sh_radiance
         return rotate(mirrored, rotation_about_vertical(self.angle))
 
 
