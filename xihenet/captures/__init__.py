@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from xihenet.captures.by_hand import set_by_hand
-from xihenet.captures.capture import Capture, n_frames
+from xihenet.captures.capture import Capture
 from xihenet.captures.reading import READERS
 from xihenet.captures.reading.record3d import SUFFIX
+from xihenet.formats import format_count
 from xihenet.io.frame_files import off_centre
 
 ARCHIVES = (SUFFIX, ".zip")
@@ -53,4 +54,4 @@ def _with_doubts(capture: Capture) -> Capture:
     if not doubts:
         return capture
     also = ", and that K is stored column by column" if capture.format_name == "Record3D" else ""
-    return replace(capture, notes=(*capture.notes, f"In {n_frames(len(doubts))} {doubts[0]}{also}."))
+    return replace(capture, notes=(*capture.notes, f"In {format_count(len(doubts), 'frame')} {doubts[0]}{also}."))

@@ -87,8 +87,3 @@ def inside(folder: Path, name: str) -> Path:
 def _resolved(folder: str) -> Path:
     """Kept, since it takes longer than reading a frame's line, and thousands of frames lie in one folder."""
     return Path(folder).resolve()
-
-
-def n_frames(n: int) -> str:
-    """ "1 frame", "3 frames"."""
-    return f"{n} frame{'' if n == 1 else 's'}"

@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from xihenet.camera import unproject_frame, valid_plane_depth
-from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.formats import format_count
 from xihenet.io.frame_files import FrameCamera
 from xihenet.records import ArrayBool, ArrayF64, RgbdFrame
 
@@ -42,12 +43,13 @@ def upright(capture: Capture, assumed: str) -> Capture:
     found = floor_normal(points_m, normals, areas)
     axis = assumed.upper() if assumed.startswith("-") else f"+{assumed.upper()}"
     if found is None:
-        note = f"Which way is up is not given, and {n_frames(len(looked_at))} show no floor: {axis} is taken."
+        n_without = format_count(len(looked_at), "frame")
+        note = f"Which way is up is not given, and {n_without} show no floor: {axis} is taken."
         return replace(capture, notes=(*capture.notes, note))
     up, is_floor = found
     n_show = int(np.count_nonzero(np.bincount(frame_of[is_floor]) >= LEAST_IN_FRAME))
     off = np.degrees(np.arccos(np.clip(up[2], -1, 1)))
-    shown = f"{n_frames(n_show)} show{'s' if n_show == 1 else ''}"
+    shown = f"{format_count(n_show, 'frame')} show{'s' if n_show == 1 else ''}"
     note = f"Up is the normal of the floor, which {shown}: {off:.1f} degrees from {axis}."
     turn = rotation_between(up, np.array([0.0, 0, 1]))
     frames = [_turned(frame, turn) for frame in capture.frames]

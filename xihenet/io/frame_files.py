@@ -121,8 +121,6 @@ def read_camera(path: Path) -> FrameCamera:
     the pose is no rotation and translation.
     """
     content = read_json(path)
-    if not isinstance(content, dict):
-        raise ValueError(f"{path}: expected a JSON object with width, height, fx, fy, cx, cy and world_from_camera")
     try:
         intrinsics, is_opencv, up = camera_facts(content, CAMERA_KEYS)
         if "world_from_camera" not in content:
@@ -132,11 +130,13 @@ def read_camera(path: Path) -> FrameCamera:
         raise ValueError(f"{path}: {error}") from error
 
 
-def camera_facts(content: dict[str, Any], keys: Collection[str]) -> tuple[Intrinsics, bool, str]:
+def camera_facts(content: Any, keys: Collection[str]) -> tuple[Intrinsics, bool, str]:
     """Intrinsics, whether camera axes are OpenCV's, and the axis that is up, as of `read_camera`.
 
     ValueError for what is wrong with them, and for a key that is not one of `keys`.
     """
+    if not isinstance(content, dict):
+        raise ValueError(f"expected a JSON object with {', '.join(keys)}")
     _check_keys(content, keys)
     k = (number_in(content, name) for name in ("fx", "fy", "cx", "cy"))
     intrinsics = Intrinsics(side_in(content, "width"), side_in(content, "height"), *k)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from xihenet.captures.capture import Capture, inside, n_frames
-from xihenet.captures.reading.phone_frame import picture_frame
+from xihenet.captures.capture import Capture, inside
+from xihenet.captures.reading.phone_frame import left_out, picture_frame
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.io.json_files import number_in, read_json, side_in
 from xihenet.records import Intrinsics
@@ -39,12 +39,11 @@ def read(folder: Path, up: str | None) -> Capture:
     applied_scale = number_in(content, "applied_scale", 1.0)
     if not 1e-6 < applied_scale < 1e6:
         raise ValueError(f"{path}: applied_scale: expected a positive number, got {applied_scale:g}")
-    frames, n_without = [], 0
+    frames = []
     for number, entry in enumerate(entries, start=1):
         try:
             colour, plane_depth = _files(folder, entry)
             if plane_depth is None:
-                n_without += 1
                 continue
             camera = frame_camera(_intrinsics({**content, **entry}), entry.get("transform_matrix"), up=up)
             camera.world_from_camera[:3, 3] /= applied_scale
@@ -56,12 +55,11 @@ def read(folder: Path, up: str | None) -> Capture:
             f"{path}: no frame has both a file_path and a depth_file_path that are there: "
             "record with depth, and copy all files"
         )
-    notes = [f"Times are not known: {FPS:g} frames a second are assumed."]
-    if n_without:
-        notes.append(f"{n_frames(n_without)} without colour or depth left out.")
+    notes: tuple[str, ...] = (f"Times are not known: {FPS:g} frames a second are assumed.",)
+    notes += left_out(len(entries) - len(frames), "colour or depth")
     if any(number_in(of, name, 0.0) != 0 for of in (content, *entries) for name in DISTORTION if name in of):
-        notes.append("The lens' distortion is not taken out.")
-    return Capture("Nerfstudio", frames, BLENDER_FROM_UP[up], tuple(notes))
+        notes += ("The lens' distortion is not taken out.",)
+    return Capture("Nerfstudio", frames, BLENDER_FROM_UP[up], notes)
 
 
 def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from xihenet.camera import sensed_ambient, sound_plane_depth, valid_plane_depth
-from xihenet.captures.capture import CapturedFrame, n_frames
+from xihenet.captures.capture import CapturedFrame
+from xihenet.formats import format_count
 from xihenet.invalid import counted
 from xihenet.io.frame_files import FrameCamera, intrinsics_for
 from xihenet.io.image_files import read_colour, read_grey, read_plane_depth, shrunk_colour
@@ -77,11 +78,17 @@ def read_confidence(path: Path, field: tuple[int, int]) -> ArrayU8:
     return confidence_levels(stored[np.ix_(*picked_pixels(height, width, MOST_POINTS))])
 
 
+def left_out(n_frames: int, without: str) -> tuple[str, ...]:
+    """A note of how many frames are not read, if any, and of what each has none."""
+    return (f"{format_count(n_frames, 'frame')} without {without} left out.",) if n_frames else ()
+
+
 def without_confidence(are_there: Sequence[bool]) -> tuple[str, ...]:
     """A note of how many frames of a recording that stores confidence have none."""
     n_missing = len(are_there) - sum(are_there)
     has, its = ("has", "its") if n_missing == 1 else ("have", "their")
-    return (f"{n_frames(n_missing)} {has} no confidence: all of {its} depth is used.",) if n_missing else ()
+    note = f"{format_count(n_missing, 'frame')} {has} no confidence: all of {its} depth is used."
+    return (note,) if n_missing else ()
 
 
 def confidence_levels(stored: ArrayU8) -> ArrayU8:

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, n_frames
-from xihenet.captures.reading.phone_frame import picture_frame, without_confidence
+from xihenet.captures.capture import Capture
+from xihenet.captures.reading.phone_frame import left_out, picture_frame, without_confidence
 from xihenet.captures.reading.values import FARTHEST_M, notes_on_times, numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, camera_facts, frame_camera
 from xihenet.io.json_files import number_in, read_json
@@ -39,8 +39,6 @@ def read(folder: Path, up: str | None) -> Capture:
     """As of `xihenet.captures.open_capture`."""
     content = read_json(folder / FILE)
     try:
-        if not isinstance(content, dict):
-            raise ValueError("expected a JSON object with width, height, fx, fy, cx and cy")
         intrinsics, is_opencv, said_up = camera_facts(content, KEYS)
         metres_per_unit, fps = (
             number_in(content, "metres_per_unit", 1e-3),
@@ -71,8 +69,7 @@ def read(folder: Path, up: str | None) -> Capture:
     notes = notes_on_times([frame.time_s for frame in frames])
     if times_s is None:
         notes += (f"Times are not known: {fps:g} frames a second are assumed.",)
-    if n_missing := len(colours) - len(frames):
-        notes += (f"{n_frames(n_missing)} without depth or a pose left out.",)
+    notes += left_out(len(colours) - len(frames), "depth or a pose")
     if (folder / "confidence").is_dir():
         notes += without_confidence(are_sure)
     return Capture("plain folder", frames, BLENDER_FROM_UP[up or said_up], notes, is_opencv=is_opencv)

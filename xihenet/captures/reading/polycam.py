@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, CapturedFrame, n_frames
-from xihenet.captures.reading.phone_frame import picture_frame, without_confidence
+from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.captures.reading.phone_frame import left_out, picture_frame, without_confidence
 from xihenet.captures.reading.values import FARTHEST_M
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import number_in, read_json, side_in
@@ -54,8 +54,7 @@ def read(folder: Path, up: str | None) -> Capture:
     notes = ["Cameras are those that Polycam has corrected."] if which else []
     if not are_times:
         notes.append(f"Times are not known: {SPAN_S:g} s between frames are assumed.")
-    if n_missing := len(paths) - len(frames):
-        notes.append(f"{n_frames(n_missing)} without colour or depth left out.")
+    notes += left_out(len(paths) - len(frames), "colour or depth")
     if (keyframes / "confidence").is_dir():
         notes += without_confidence(are_sure)
     return Capture("Polycam", frames, BLENDER_FROM_UP[up], tuple(notes))

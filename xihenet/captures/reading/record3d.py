@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.floor import upright
 from xihenet.captures.reading.archive import MAGIC, Archive, open_archive
 from xihenet.captures.reading.lzfse_files import unpack_lzfse
-from xihenet.captures.reading.phone_frame import confidence_levels, measured, phone_frame, without_confidence
-from xihenet.captures.reading.values import intrinsics_of, notes_on_times, numbers, pose_numbers, pose_of
+from xihenet.captures.reading.phone_frame import confidence_levels, left_out, measured, phone_frame, without_confidence
+from xihenet.captures.reading.values import notes_on_times, numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import number_in, parse_json, side_in
 from xihenet.io.picture_size import MOST_PIXELS, same_field
@@ -57,9 +57,10 @@ def read(path: Path, up: str | None) -> Capture:
         begin = start @ next((pose for pose in poses if pose is not None), np.eye(4))
         knows_up = first is not None and not np.allclose(begin[:3, :3], np.eye(3), atol=LEVEL)
         assumed = up or "y"
+        intrinsics = [Intrinsics(*size, *one.tolist()) for one in k]
         cameras = [
-            None if pose is None else frame_camera(intrinsics_of(*size, one), (start @ pose).tolist(), up=assumed)
-            for one, pose in zip(k, poses, strict=True)
+            None if pose is None else frame_camera(one, (start @ pose).tolist(), up=assumed)
+            for one, pose in zip(intrinsics, poses, strict=True)
         ]
     except ValueError as error:
         raise ValueError(f"{path}, {METADATA}: {error}") from error
@@ -77,8 +78,7 @@ def read(path: Path, up: str | None) -> Capture:
         for n, camera in there.items()
     ]
     notes += notes_on_times([frame.time_s for frame in frames])
-    if n_missing := max(n_said, len(numbers_of)) - len(there):
-        notes += (f"{n_frames(n_missing)} without colour, depth or a pose left out.",)
+    notes += left_out(max(n_said, len(numbers_of)) - len(there), "colour, depth or a pose")
     are_sure = [f"rgbd/{n}.conf" in archive.members for n in there]
     if any(are_sure):
         notes += without_confidence(are_sure)

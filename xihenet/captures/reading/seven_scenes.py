@@ -11,9 +11,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from xihenet.captures.capture import Capture, n_frames
+from xihenet.captures.capture import Capture
 from xihenet.captures.floor import upright
-from xihenet.captures.reading.phone_frame import picture_frame
+from xihenet.captures.reading.phone_frame import left_out, picture_frame
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.records import Intrinsics
 
@@ -29,12 +29,11 @@ def is_in(folder: Path) -> bool:
 def read(folder: Path, up: str | None) -> Capture:
     """As of `xihenet.captures.open_capture`."""
     numbers = sorted((int(found[1]), path) for path in folder.iterdir() if (found := NAME.fullmatch(path.name)))
-    frames, n_without, first = [], 0, numbers[0][0]
+    frames, first = [], numbers[0][0]
     for number, path in numbers:
         stem = path.name.removesuffix(".pose.txt")
         colour, plane_depth = (folder / f"{stem}.{kind}.png" for kind in ("color", "depth"))
         if not (colour.is_file() and plane_depth.is_file()):
-            n_without += 1
             continue
         try:
             rows = [
@@ -51,8 +50,6 @@ def read(folder: Path, up: str | None) -> Capture:
             f"{folder}: no pose has both pictures, {stem}.color.png and {stem}.depth.png, beside it: copy all files, "
             "or convert the recording to a plain folder, as docs/captures.md says"
         )
-    notes = ["Depth is not registered to colour."]
-    if n_without:
-        notes.append(f"{n_frames(n_without)} without colour or depth left out.")
-    capture = Capture("7-Scenes", frames, BLENDER_FROM_UP[up or "-y"], tuple(notes), is_opencv=True)
+    notes = ("Depth is not registered to colour.", *left_out(len(numbers) - len(frames), "colour or depth"))
+    capture = Capture("7-Scenes", frames, BLENDER_FROM_UP[up or "-y"], notes, is_opencv=True)
     return upright(capture, "-y") if up is None else capture

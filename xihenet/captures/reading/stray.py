@@ -13,20 +13,22 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, CapturedFrame, n_frames
+from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.reading.phone_frame import (
     Measured,
+    left_out,
     measured,
     phone_frame,
     read_confidence,
     read_measured,
     without_confidence,
 )
-from xihenet.captures.reading.values import intrinsics_of, notes_on_times, numbers, pose_of
+from xihenet.captures.reading.values import notes_on_times, numbers, pose_of
 from xihenet.captures.reading.video import Video
+from xihenet.formats import format_count
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.picture_size import check_size
-from xihenet.records import ArrayF64, RgbdFrame
+from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
 VIDEO, ODOMETRY, MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
 COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -54,7 +56,8 @@ def read(folder: Path, up: str | None) -> Capture:
         try:
             k = row[9:] if of_all is None else of_all
             pose = pose_of(row[2:5], row[5:9]).tolist()
-            camera = frame_camera(intrinsics_of(video.width, video.height, k), pose, is_opencv=True, up=up)
+            intrinsics = Intrinsics(video.width, video.height, *k.tolist())
+            camera = frame_camera(intrinsics, pose, is_opencv=True, up=up)
         except ValueError as error:
             raise ValueError(f"{folder / ODOMETRY}, frame {number}: {error}") from error
         load = partial(_load, folder, number, plane_depth, camera, video)
@@ -64,11 +67,10 @@ def read(folder: Path, up: str | None) -> Capture:
     notes = notes_on_times([frame.time_s for frame in frames])
     last = int(rows[-1][1])
     if video.n_frames <= last:
-        notes += (f"The video ends early, after {n_frames(video.n_frames)} of {last + 1}.",)
+        notes += (f"The video ends early, after {format_count(video.n_frames, 'frame')} of {last + 1}.",)
     if n_unspoken := video.n_frames - sum(row[1] < video.n_frames for row in rows):
-        notes += (f"{n_frames(n_unspoken)} of the video without a line of {ODOMETRY} left out.",)
-    if n_missing := len(rows) - len(frames):
-        notes += (f"{n_frames(n_missing)} without colour or depth left out.",)
+        notes += (f"{format_count(n_unspoken, 'frame')} of the video without a line of {ODOMETRY} left out.",)
+    notes += left_out(len(rows) - len(frames), "colour or depth")
     if (folder / "confidence").is_dir():
         notes += without_confidence([_confidence_file(folder, frame.number).is_file() for frame in frames])
     return Capture("Stray Scanner", frames, BLENDER_FROM_UP[up], notes, is_opencv=True)

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, inside, n_frames
-from xihenet.captures.reading.phone_frame import picture_frame
+from xihenet.captures.capture import Capture, inside
+from xihenet.captures.reading.phone_frame import left_out, picture_frame
 from xihenet.captures.reading.values import numbers, of_length_1, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
 from xihenet.io.json_files import read_json
@@ -43,8 +43,8 @@ def read(folder: Path, up: str | None) -> Capture:
     values = np.array([row for _, row in tracked if row is not None])
     if not len(pose_s):
         raise ValueError(f"{folder / FILES[2]}: expected finite numbers, and tracking was lost in all lines")
-    intrinsics, note = _intrinsics(folder / CAMERA)
-    frames, n_without = [], 0
+    intrinsics, notes = _intrinsics(folder / CAMERA)
+    frames = []
     for number, (time_s, (name,)) in enumerate(colours, start=1):
         nearest = int(np.abs(depth_s - time_s).argmin())
         pose = _pose_at(time_s, pose_s, values)
@@ -54,27 +54,22 @@ def read(folder: Path, up: str | None) -> Capture:
             or pose is None
             or not (colour.is_file() and plane_depth.is_file())
         ):
-            n_without += 1
             continue
         camera = frame_camera(intrinsics, pose.tolist(), is_opencv=True, up=up)
         frames.append(picture_frame(number, time_s - colours[0][0], camera, colour, plane_depth, METRES_PER_UNIT))
     if not frames:
         raise ValueError(f"{folder}: no colour picture has depth and a pose within {AT_MOST_S:g} s of it")
-    notes = [note] if note else []
-    if n_without:
-        notes.append(f"{n_frames(n_without)} without colour, depth or a pose left out.")
-    return Capture("TUM RGB-D", frames, BLENDER_FROM_UP[up], tuple(notes), is_opencv=True)
+    notes += left_out(len(colours) - len(frames), "colour, depth or a pose")
+    return Capture("TUM RGB-D", frames, BLENDER_FROM_UP[up], notes, is_opencv=True)
 
 
-def _intrinsics(path: Path) -> tuple[Intrinsics, str]:
+def _intrinsics(path: Path) -> tuple[Intrinsics, tuple[str, ...]]:
     """Those of camera.json, or the benchmark's and a note that says so."""
     if not path.is_file():
-        return INTRINSICS, "Intrinsics are those that the benchmark takes for all of its cameras."
+        return INTRINSICS, ("Intrinsics are those that the benchmark takes for all of its cameras.",)
     content = read_json(path)
     try:
-        if not isinstance(content, dict):
-            raise ValueError(f"expected a JSON object with {', '.join(CAMERA_KEYS)}")
-        return camera_facts(content, CAMERA_KEYS)[0], ""
+        return camera_facts(content, CAMERA_KEYS)[0], ()
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from xihenet.records import ArrayF64, Intrinsics
+from xihenet.records import ArrayF64
 
 FARTHEST_M = 1e6  # From the origin of a recording; what is given in millimetres is still nearer
 LONG_STEP_S = 5.0  # From one picture to the next: thirty a second in milliseconds are 33
@@ -34,11 +34,6 @@ def pose_numbers(values: Any, n: int, name: str) -> ArrayF64 | None:
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name}: expected {n} numbers, got {values!r:.80}") from None
     return array if np.isfinite(array).all() else None
-
-
-def intrinsics_of(width: int, height: int, k: ArrayF64) -> Intrinsics:
-    """Of fx, fy, cx, cy in `k` (4,), pixels."""
-    return Intrinsics(width, height, *(float(value) for value in k))
 
 
 def pose_of(place_m: ArrayF64, quaternion: ArrayF64) -> ArrayF64:

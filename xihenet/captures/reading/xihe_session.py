@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from xihenet.captures.capture import Capture, CapturedFrame, inside, n_frames
+from xihenet.captures.capture import Capture, CapturedFrame, inside
+from xihenet.formats import format_count
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.io.recording import FRAME_FILES, SESSION_FILE, load_frame, read_header, read_session
 
@@ -44,7 +45,7 @@ def _gaps(paths: Sequence[Path]) -> tuple[str, ...]:
     found = [NUMBER.fullmatch(path.name) for path in paths]
     numbers = [int(one[1]) for one in found if one is not None]
     n_gone = max(numbers) + 1 - min(numbers) - len(set(numbers)) if len(numbers) == len(paths) else 0
-    return (f"{n_frames(n_gone)} missing between the others: copy the recording again.",) if n_gone else ()
+    return (f"{format_count(n_gone, 'frame')} missing between the others: copy the recording again.",) if n_gone else ()
 
 
 def _frame(path: Path) -> CapturedFrame:

@@ -14,10 +14,7 @@ from xihenet.records import ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 LARGEST_IN_16_BITS = 65534  # 65535 stands for a miss
 HIGH_CONFIDENCE = 2
-OPENCV_FROM_BLENDER_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-
-
 JPEG_QUALITY = 95
 
 

@@ -18,7 +18,6 @@ from xihenet.captures.reading.stray import COLUMNS, INTRINSICS, MATRIX, ODOMETRY
 from xihenet.captures.reading.values import quaternion_of
 from xihenet.captures.reading.video import EXACTLY, EXTRA
 from xihenet.captures.writing.pictures import (
-    OPENCV_FROM_BLENDER_CAMERA,
     USUAL,
     Form,
     Written,
@@ -29,6 +28,7 @@ from xihenet.captures.writing.pictures import (
     pillow,
     save_depth,
 )
+from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA
 from xihenet.records import RgbdFrame
 
 UNITS_PER_METRE, FPS = 1000, 30
@@ -56,7 +56,7 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
             encode(enlarged(frame.srgb_u8, form.colour_scale))
             n_unheld += save_depth(folder / "depth" / f"{number}.png", frame, UNITS_PER_METRE)
             pillow().fromarray(confidence_of(frame)).save(folder / "confidence" / f"{number}.png")
-            pose = in_y_up(frame.world_from_camera) @ OPENCV_FROM_BLENDER_CAMERA
+            pose = in_y_up(frame.world_from_camera) @ BLENDER_FROM_OPENCV_CAMERA
             k = enlarged_intrinsics(frame.intrinsics, form.colour_scale)
             values = [*pose[:3, 3], *quaternion_of(pose[:3, :3]), k.fx, k.fy, k.cx, k.cy]
             line = ", ".join(f"{value:.9f}" for value in values)

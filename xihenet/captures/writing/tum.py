@@ -14,7 +14,8 @@ import numpy as np
 
 from xihenet.captures.reading.tum import CAMERA, CAMERA_KEYS, FILES, INTRINSICS, METRES_PER_UNIT
 from xihenet.captures.reading.values import quaternion_of
-from xihenet.captures.writing.pictures import OPENCV_FROM_BLENDER_CAMERA, USUAL, Form, Written, colour_bytes, save_depth
+from xihenet.captures.writing.pictures import USUAL, Form, Written, colour_bytes, save_depth
+from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA
 from xihenet.records import Intrinsics, RgbdFrame
 
 TOLERANCE = 1e-3
@@ -40,7 +41,7 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
             (folder / name).parent.mkdir(exist_ok=True, parents=True)
         (folder / names[0]).write_bytes(colour_bytes(frame, form))
         n_unheld += save_depth(folder / names[1], frame, 1 / METRES_PER_UNIT)
-        pose = frame.world_from_camera @ OPENCV_FROM_BLENDER_CAMERA
+        pose = frame.world_from_camera @ BLENDER_FROM_OPENCV_CAMERA
         values = (*pose[:3, 3], *quaternion_of(pose[:3, :3]))
         for file, said in zip(FILES, (*names, " ".join(f"{value:.9f}" for value in values)), strict=True):
             lists[file].append(f"{time} {said}")
