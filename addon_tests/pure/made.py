@@ -37,6 +37,14 @@ def looked_at(cloud):
     return cloud
 
 
+def assert_same(a, b, rtol=1e-6):
+    """Two clouds of anchors, sampled alike."""
+    np.testing.assert_array_equal(a.is_set, b.is_set)
+    np.testing.assert_array_equal(a.srgb, b.srgb)
+    np.testing.assert_allclose(a.distance_m, b.distance_m, rtol=rtol)
+    assert a.invalid == b.invalid
+
+
 def frame_of(plane_depth_m, intrinsics=None, pose=None, srgb_u8=128, **fields):
     """A frame of plane depths (H, W), at the origin and of one grey unless it is said."""
     plane_depth_m = np.asarray(plane_depth_m)

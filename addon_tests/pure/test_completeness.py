@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from xihenet.completeness import ENTROPY_SIZES, coverage, joint_entropy
-from xihenet.records import PointCloud, UnitSphereCloud
-from xihenet.sampling import sample_unit_sphere
+from xihenet.records import UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
 ORIGIN = np.zeros(3)
@@ -19,14 +18,6 @@ def test_coverage_is_the_share_of_set_anchors():
     assert coverage(cloud) == 0.25
     assert coverage(UnitSphereCloud.empty(1280)) == 0
     assert coverage(UnitSphereCloud.empty(0)) == 0
-
-
-def test_half_space_of_points_covers_half_of_the_anchors_and_those_on_its_border():
-    points = np.random.default_rng(0).normal(size=(200_000, 3))
-    points[:, 0] = np.abs(points[:, 0])
-    sampled = sample_unit_sphere(PointCloud(points, np.zeros_like(points)), ORIGIN, AnchorLattice(1280))
-    # The border is a great circle, along which some 2 pi / 0.1 anchors reach over to one side or the other.
-    assert 0.5 <= coverage(sampled) <= 0.5 + 63 / 1280
 
 
 def test_entropy_uses_the_papers_sizes():
@@ -44,28 +35,6 @@ def test_entropy_is_the_sum_of_equation_1():
             share = nearest.count(anchor) / 700
             expected -= share * np.log2(share)
     assert joint_entropy(points, position, sizes=SIZES) == pytest.approx(expected, rel=1e-12)
-
-
-def test_points_all_around_have_all_bits_and_those_of_half_the_anchors_one_less():
-    anchors = AnchorLattice(256).directions
-    assert joint_entropy(7 * anchors, ORIGIN, sizes=[256]) == pytest.approx(8)
-    assert joint_entropy(anchors[:128], ORIGIN, sizes=[256]) == pytest.approx(7)
-
-
-def test_entropy_of_a_mixture_is_that_of_its_parts_and_of_the_choice_between_them():
-    anchors = AnchorLattice(1024).directions
-    many, few = np.repeat(anchors[:512], 3, axis=0), np.repeat(anchors[-1:], 512, axis=0)
-    choice = -(0.25 * np.log2(0.25) + 0.75 * np.log2(0.75))
-    mixed = np.concatenate([many, few])
-    assert joint_entropy(mixed, ORIGIN, sizes=[1024]) == pytest.approx(choice + 0.75 * 9)
-
-
-def test_distance_order_and_repetition_do_not_change_entropy():
-    rng = np.random.default_rng(3)
-    points = rng.normal(size=(500, 3))
-    changed = np.tile(rng.permutation(points * rng.uniform(0.1, 9, (500, 1))), (3, 1))
-    expected = joint_entropy(points, ORIGIN, sizes=SIZES)
-    assert joint_entropy(changed, ORIGIN, sizes=SIZES) == pytest.approx(expected, rel=1e-12)
 
 
 def test_unusable_points_do_not_count():

@@ -338,13 +338,15 @@ def test_other_wrong_requests(server):
 
 
 def test_health_metrics_page_and_openapi_are_there(server):
+    from xihenet.edge.server import ROUTES
+
     assert server.ask("GET", "/health")[1]["estimator"] == "lattice"
     server.light(*server.opened(n_anchors=N), encode_cloud(cloud_of(1), "float32_stripped"))
     status, text, _ = server.ask("GET", "/metrics")
     assert status == 200 and "xihe_connections 1" in text and 'stage="inference"' in text
     assert "<html" in server.ask("GET", "/")[1]
     _, document, _ = server.ask("GET", "/openapi.json")
-    served = {re.sub(r"\(\[\^/\]\+\)", "{}", pattern) for pattern in _routes()} - {"/metrics", "/openapi.json", "/"}
+    served = {re.sub(r"\(\[\^/\]\+\)", "{}", pattern) for pattern in ROUTES} - {"/metrics", "/openapi.json", "/"}
     assert {re.sub(r"\{\w+\}", "{}", path) for path in document["paths"]} == served
 
 
@@ -385,12 +387,6 @@ def test_a_request_may_name_the_whole_address_as_proxies_do(server):
     for address in (b"http://xihe/health?a=b", b"https://xihe:8550/health"):
         answer = server.raw(b"GET " + address + b" HTTP/1.1\r\nHost: xihe\r\nConnection: close\r\n\r\n")
         assert b" 200 OK" in answer and b'"estimator": "lattice"' in answer
-
-
-def _routes():
-    from xihenet.edge.server import ROUTES
-
-    return ROUTES
 
 
 def test_web_pages_may_ask_if_their_origin_is_allowed():

@@ -231,14 +231,6 @@ def test_ssim_equals_a_plain_loop_at_borders_and_mask_edges(seed):
         assert ssim(a, b, mask) == pytest.approx(ssim_by_loops(a, b, mask), rel=1e-10)
 
 
-def test_half_of_the_light_above_white_is_half():
-    whole = np.random.default_rng(0).normal(size=(9, 3))
-    whole[0] = [1.0, 2.0, 3.0]
-    assert share_above_white(0.5 * whole, whole) == pytest.approx(0.5)
-    assert share_above_white(whole, whole) == 0.0
-    assert share_above_white(np.zeros((9, 3)), whole) == 1.0
-
-
 def test_the_share_above_white_is_that_of_the_panorama():
     panorama = 10 ** np.random.default_rng(1).uniform(-2, 1, (32, 64, 3))
     clipped, whole = (project_panorama(light) for light in (np.minimum(panorama, 1.0), panorama))

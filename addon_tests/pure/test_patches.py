@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from addon_tests.pure.made import pose_of
+from addon_tests.pure.made import assert_same, pose_of
 from xihenet.camera import pixel_rays, unproject_frame
 from xihenet.records import Intrinsics, PixelGrid, PointCloud, RgbdFrame
 from xihenet.sampling import sample_unit_sphere
@@ -38,13 +38,6 @@ def frame_of_a_table(width=64, height=48, pitch=0.3, has_table=True, seed=None):
 
 def without_grid(cloud):
     return PointCloud(cloud.points_m, cloud.srgb, cloud.invalid)
-
-
-def assert_same(a, b):
-    np.testing.assert_array_equal(a.is_set, b.is_set)
-    np.testing.assert_array_equal(a.srgb, b.srgb)
-    np.testing.assert_allclose(a.distance_m, b.distance_m, rtol=1e-6)
-    assert a.invalid == b.invalid
 
 
 def assert_same_without_surfaces(cloud, position_m, lattice, with_them):

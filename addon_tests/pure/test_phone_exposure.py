@@ -21,13 +21,6 @@ def test_exposure_goes_63_percent_of_the_way_in_one_time_constant():
     assert np.log2(later) == pytest.approx(1 - np.exp(-1))
 
 
-def test_two_short_steps_are_one_long_step():
-    half = step_exposure(1.0, 3.0, 0.1, reference=1.0, settings=AUTO)
-    assert step_exposure(half, 3.0, 0.1, reference=1.0, settings=AUTO) == pytest.approx(
-        step_exposure(1.0, 3.0, 0.2, reference=1.0, settings=AUTO)
-    )
-
-
 def test_exposure_stays_within_its_clamps():
     exposures = follow_exposure([0, 100, 200, 300], [1, 1e-6, 1e6, 1e6], reference=1.0, settings=AUTO)
     np.testing.assert_allclose(exposures, [1, 1, 2.0**-3, 2.0**2], rtol=1e-9)
