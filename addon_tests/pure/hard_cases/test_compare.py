@@ -62,8 +62,7 @@ METRICS = {
 def score(metric: str, name: str, prediction: Any, truth: Any, must: Must, naive: Any = None, mask: Any = MASK) -> Any:
     function, by_hand = METRICS[metric]
     sentence = f"the {metric} of {name}" + ("" if " is " in name else " is right")
-    naive = None if must.is_refusal else naive or by_hand
-    return row(sentence, (prediction, truth, mask), lambda given: function(*given), must, naive)
+    return row(sentence, (prediction, truth, mask), lambda given: function(*given), must, naive or by_hand)
 
 
 def nan_outside(image: np.ndarray) -> np.ndarray:
@@ -89,10 +88,6 @@ def angle_of_other_colours(given: Given) -> float:
     return angle_by_hand((given[0] + 1e-3, given[1] * [1, 1, 0.99], given[2]))
 
 
-def ssim_rounded(given: Given) -> float:
-    return float(np.float32(ssim_by_hand(given)) * np.float32(0.999999))
-
-
 RIGHT_HALF = np.repeat([0.0, 1.0], 4) * np.ones((8, 1))
 DARK_PIXEL, BRIGHT_PIXEL, ONE = np.full((1, 1, 3), 0.25), np.full((1, 1, 3), 0.75), np.ones((1, 1))
 YELLOW, YELLOW_DEG = GREY * [1, 1, 0], np.degrees(np.arctan2(1, np.sqrt(2)))
@@ -101,10 +96,6 @@ TEXTURE = 1e-9 * PICTURE
 NO_PIXELS, NO_MASK = np.zeros((0, 0, 3)), np.zeros((0, 0))
 MILLION, ALL = np.full((1000, 1000, 3), 0.1), np.ones((1000, 1000))
 HALF_GREY, HALF_DIM = nan_outside(GREY), nan_outside(GREY / 2)
-NAN_INSIDE = "pictures that are NaN inside the mask is refused with their number"
-REFUSED_NAN = refused("prediction: expected finite colour inside the mask, got 32")
-REFUSED_MASK = refused("mask: expected bool or weights in [0, 1]")
-REFUSED_LINEAR = refused("expected sRGB-encoded colour in [0, 1], got 64 pixels")
 SI, ANGLE = "scale-invariant RMSE", "angular error"
 
 PICTURES = [
@@ -114,14 +105,10 @@ PICTURES = [
         score(m, "pictures that are NaN outside the mask", HALF_GREY, HALF_DIM, near(value, 1e-6), mask=RIGHT_HALF)
         for m, value in (("RMSE", 0.25), ("PSNR", 12.0412))
     ),
-    *(score(m, NAN_INSIDE, nan_outside(PICTURE), PICTURE, REFUSED_NAN) for m in METRICS),
     score("RMSE", "one pixel", DARK_PIXEL, BRIGHT_PIXEL, equal(0.5), rmse_of_samples, ONE),
     score("SSIM", "one pixel is that of its luminance alone", DARK_PIXEL, BRIGHT_PIXEL, near(0.6001, 1e-3), mask=ONE),
-    score("PSNR", "equal pictures is undefined", PICTURE, PICTURE, UNDEFINED),
-    score("SSIM", "equal pictures is exactly 1", PICTURE, PICTURE, equal(1.0), ssim_rounded),
     score("SSIM", "equal constant pictures is exactly 1", GREY, GREY, equal(1.0)),
     score("SSIM", "black pictures is exactly 1", BLACK, BLACK, equal(1.0)),
-    score(ANGLE, "equal pictures is exactly 0", PICTURE, PICTURE, equal(0.0)),
     score(ANGLE, "a picture and its double is 0", PICTURE, PICTURE * 2, at_most(1e-13)),
     score(ANGLE, "hues that differ by 1e-9", GREY, GREY + [1e-9, 0, 0], near(HUE_DEG, 1e-12)),
     score(ANGLE, "a black prediction is undefined and not perfect", BLACK, PICTURE, UNDEFINED),
@@ -140,15 +127,12 @@ PICTURES = [
         "RMSE", "a million pixels of a tenth is a tenth", MILLION, MILLION * 0, near(0.1, 1e-12), rmse_in_float32, ALL
     ),
     score("PSNR", "pictures that differ by 1e-200 is finite", GREY * 2e-200, BLACK, near(4000.0, 1e-6)),
-    score("PSNR", "linear light above 1 is refused", GREY * 4, GREY, REFUSED_LINEAR),
     score("SSIM", "flat pictures with a texture of 1e-9", GREY + TEXTURE, GREY - TEXTURE, near(1.0, 1e-6)),
     score("SSIM", "black and white", BLACK, BLACK + 1, near(1e-4, 1e-6)),
     *(
         score(m, "grey and black under a mask of 5e-324", GREY, BLACK, near(value, 1e-3), mask=MASK * 5e-324)
         for m, value in (("RMSE", 0.5), ("PSNR", 6.0206), ("SSIM", 4e-4))
     ),
-    score("RMSE", "a mask with NaN is refused", GREY, BLACK, REFUSED_MASK, mask=MASK * np.nan),
-    score("RMSE", "a mask of 255 is refused", GREY, BLACK, REFUSED_MASK, mask=MASK * 255),
 ]
 
 

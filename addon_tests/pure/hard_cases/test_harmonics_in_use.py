@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from addon_tests.hard_case import at_most, each, equal, near, refused, row, that
-from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny, windowed
+from addon_tests.pure.sh_samples import CONSTANT, light, random_directions, random_light, sunny
 from xihenet.sh import basis, dering, dering_with_strength, irradiance, project_panorama, rotate
 
 STAGE = "harmonics"
@@ -80,17 +80,8 @@ def window_of(sh: np.ndarray) -> float:
     return dering_with_strength(sh)[1]
 
 
-def window_too_weak(sh: np.ndarray) -> float:
-    """The lowest irradiance under a window 1 % weaker than the one chosen."""
-    return lowest(windowed(sh, 1 - window_of(sh) * 0.99))
-
-
 def window_by_minimum(sh: np.ndarray) -> float:
     return float(np.clip(-lit(sh).min(), 0, 1))
-
-
-def dering_moves(sh: np.ndarray) -> float:
-    return float(np.abs(dering(sh) - sh).max())
 
 
 def float32_moves(matrix: np.ndarray) -> float:
@@ -146,20 +137,12 @@ CASES = [
         lambda sh: lowest(lanczos(sh)),
     ),
     row("a sun in a sky lights no surface negatively", SUN_IN_SKY, lowest_deringed, NOT_NEGATIVE, lowest),
-    row("light that does not ring is left alone", light(c0=1, c2=0.2), dering_moves, equal(0.0)),
     row("no light stays none", light(), lambda sh: (float(np.abs(dering(sh)).max()), window_of(sh)), equal((0.0, 0.0))),
     row(
         "a channel of negative light is black and the others stay",
         light(c0=1) * [1, -1, 1],
         lambda sh: dering(sh)[0].tolist(),
         equal([1.0, 0.0, 1.0]),
-    ),
-    row(
-        "a window 1 % weaker would ring",
-        SUN,
-        window_too_weak,
-        that("negative", lambda came: came < 0),
-        lambda sh: lowest(dering(sh) * np.repeat([1, 0.9, 0.7], [1, 3, 5])[:, None]),
     ),
     row(
         "light of odd bands alone becomes black",

@@ -113,15 +113,11 @@ FLAT = np.array([0.25, 0.5, 1.0])
 FLAT_SH = np.zeros((9, 3))
 FLAT_SH[0] = srgb_to_linear(linear_to_srgb(FLAT).astype(np.float32).astype(float)) * CONSTANT
 PLACES = {
-    "one anchor": Given(FLAT, only(77)),
     "two neighbours": Given(FLAT, only(77, 78)),
     "nine anchors, as many as coefficients": Given(FLAT, only(*range(0, 1280, 143))),
-    "one half of the sphere": Given(FLAT, UPPER),
     "the equator": Given(FLAT, EQUATOR),
     "a line": Given(FLAT, True, LINE),
     "one place, forty times": Given(FLAT, True, ONE_PLACE),
-    "a lattice of one anchor": Given(FLAT, True, AnchorLattice(1)),
-    "a lattice of three anchors": Given(FLAT, True, AnchorLattice(3)),
 }
 NOISY = {
     "a cap of 1.5 % of the sphere": Given(NOISE, CAP),
