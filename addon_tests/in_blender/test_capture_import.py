@@ -16,12 +16,13 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from previs_runs import counted_renders
 from results_schema import SCHEMA
-from tiny_scenes import box, empty_scene
+from scene_snapshot import differences, nothing_changes, snapshot
+from tiny_scenes import add, add_lamp, box, empty_scene, phone
 
 from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.recordings import HALF, LAYOUTS, as_nerfstudio, layouts, looking, seen, walk
 from xihe_blender.addon.panels import result_rows
-from xihe_blender.addon.results_in_blender import remove_everything, show_lit, show_results
+from xihe_blender.addon.results_in_blender import apply_results, remove_everything, show_lit
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.cli.main import main
@@ -313,43 +314,26 @@ def test_lengths_follow_the_scenes_units(tmp_path):
 def test_what_was_there_stays(tmp_path):
     folder = recorded(tmp_path / "walk", walk(CENTRED))
     scene = empty_scene()
-    lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
-    camera = bpy.data.objects.new("Phone", bpy.data.cameras.new("Phone"))
-    for item in (lamp, camera):
-        scene.collection.objects.link(item)
-    scene.camera, before = camera, settings_of(scene)
+    lamp, camera = add_lamp(scene), phone(scene, (0, 0, 1), (0, 1, 1))
+    bpy.context.view_layer.update()
+    before = snapshot()
     made = run_blocking(import_capture(scene, ChosenCapture(folder)))
     assert list(scene.collection.objects) == [lamp, camera]
     assert list(scene.collection.children) == [made.collection]
     assert camera.name == "Phone" and not camera.animation_data and camera.data.lens == 50
-    changed = {name for name, value in settings_of(scene).items() if value != before[name]}
-    assert changed <= SET_BY_AN_IMPORT
+    own = ("scenes/Scene/objects#", "scenes/Scene/view_layers/0/")
+    changed = {path for path in differences(before, snapshot())[0] if not path.startswith(own)}
+    assert changed <= {f"scenes/Scene/{name}" for name in SET_BY_AN_IMPORT}
     assert "Set for it" in " ".join(made.said)
     remembered = remembered_capture(scene)
     assert remembered == ChosenCapture(folder.resolve())
 
 
 SET_BY_AN_IMPORT = {
-    *("scene.camera", "scene.frame_start", "scene.frame_end", "scene.frame_step", "scene.frame_current"),
-    *("scene.frame_current_final", "scene.frame_float"),
-    *("render.fps", "render.fps_base", "render.resolution_x", "render.resolution_y"),
-    *("render.pixel_aspect_x", "render.pixel_aspect_y", "render.film_transparent"),
+    *("camera", "frame_start", "frame_end", "frame_step", "frame_current", "frame_current_final", "frame_float"),
+    *("render/fps", "render/fps_base", "render/resolution_x", "render/resolution_y"),
+    *("render/pixel_aspect_x", "render/pixel_aspect_y", "render/film_transparent"),
 }
-
-
-def settings_of(scene):
-    owners = {"scene": scene, "render": scene.render, "cycles": scene.cycles, "view": scene.view_settings}
-    return {
-        f"{name}.{described.identifier}": value
-        for name, owner in owners.items()
-        for described in owner.bl_rna.properties
-        # Blender 5 warns of the latter, which it will drop.
-        if described.type != "COLLECTION" and described.identifier != "use_nodes"
-        if isinstance(value := getattr(owner, described.identifier), PLAIN)
-    } | {"scene.camera": scene.camera}
-
-
-PLAIN = (bool, int, float, str, bpy.types.Object, bpy.types.World)
 
 
 @pytest.mark.parametrize(
@@ -367,11 +351,10 @@ def test_what_cannot_be_read_is_said_in_one_line_and_leaves_nothing(tmp_path, ma
     of_the_user = tmp_path / "walk_footage_frames"
     of_the_user.mkdir()
     scene = empty_scene()
-    before = settings_of(scene)
-    with pytest.raises(UserError, match=said) as caught:
+    with nothing_changes(), pytest.raises(UserError, match=said) as caught:
         run_blocking(import_capture(scene, ChosenCapture(tmp_path / "walk")))
     assert "\n" not in str(caught.value)
-    assert not scene.objects and not bpy.data.collections and not bpy.data.meshes and settings_of(scene) == before
+    assert not bpy.data.objects and not bpy.data.collections and not bpy.data.meshes
     assert remembered_capture(scene) is None
     assert list(tmp_path.glob("*footage*")) == [of_the_user]
 
@@ -540,18 +523,15 @@ def test_objects_that_no_frame_sees_are_asked_about_in_every_frame(tmp_path):
     assert [entry.active for entry in found.frames] == [True, True]
 
 
-def test_the_trigger_is_the_recordings_own_unless_another_is_chosen(tmp_path):
-    scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
-    runs = {
-        name: run_on(scene, tmp_path / name, trigger=trigger)
-        for name, trigger in (("own", None), ("every", RULES["every-frame"]))
-    }
-    assert runs["own"].settings.trigger == asdict(REPLAY_TRIGGER)
-    assert runs["every"].settings.trigger == asdict(RULES["every-frame"])
+def test_the_trigger_is_the_recordings_own_unless_another_is_chosen(recorded_run, tmp_path):
+    out, recording, _ = recorded_run
+    scene = scene_of(recording, tmp_path)
+    own, every = read_results(out), run_on(scene, tmp_path / "out", trigger=RULES["every-frame"])
+    assert own.settings.trigger == asdict(REPLAY_TRIGGER)
+    assert every.settings.trigger == asdict(RULES["every-frame"])
     chosen = recorded_session(scene, PrevisSettings(trigger=RULES["split"]))
     assert chosen.settings.trigger == RULES["split"]
-    own, every = (runs[name].summary for name in ("own", "every"))
-    assert own.n_estimates < every.n_estimates == every.n_active_frames
+    assert own.summary.n_estimates < every.summary.n_estimates == every.summary.n_active_frames
 
 
 def test_gaps_and_chosen_frames(tmp_path):
@@ -597,29 +577,28 @@ def scene_of(recording, folder):
     return scene
 
 
+def put_on_another_object(scene):
+    scene.camera.parent = add(scene, "Moved", location=(0.5, 0, 0))
+
+
+def forget_the_recording(scene):
+    scene["xihe_capture"] = scene["xihe_capture_was"] = "/gone"
+
+
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (lambda scene: setattr(scene.camera, "parent", moved_empty(scene)), "is not where the phone was"),
-        (lambda scene: scene.__setitem__("xihe_capture_was", "/gone"), "gone from"),
+        (put_on_another_object, "is not where the phone was"),
+        (forget_the_recording, "gone from"),
     ],
 )
 def test_what_does_not_fit_the_recording_is_said(tmp_path, spoil, said):
     scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
-    if "gone" in said:
-        scene["xihe_capture"] = "/gone"
     spoil(scene)
     with pytest.raises(UserError, match=said) as caught:
         run_blocking(previs(scene, tmp_path / "out", PrevisSettings()))
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
-
-
-def moved_empty(scene):
-    empty = bpy.data.objects.new("Moved", None)
-    empty.location = (0.5, 0, 0)
-    scene.collection.objects.link(empty)
-    return empty
 
 
 def test_what_renders_a_room_refuses_a_recording(tmp_path):
@@ -689,14 +668,12 @@ def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd, monkeypat
     assert_refused(xihe_here("video", tmp_path / "out"), "composited.mp4")
 
 
-@pytest.mark.slow
-def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(tmp_path):
-    recording = recorded(tmp_path / "walk", lamp_walk(SMALL))
+def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(recorded_run, tmp_path):
+    out, recording, _ = recorded_run
     with registered_addon():
         scene = scene_of(recording, tmp_path)
-        run_on(scene, tmp_path / "out")
-        show_results(scene, tmp_path / "out")
-        lit = show_lit(scene, tmp_path / "out", "Pillar")
+        apply_results(scene, out)
+        lit = show_lit(scene, out, "Pillar")
         names = {item.name for item in lit.objects}
         assert "Phone Scan" not in " ".join(names)
         catcher = next(item for item in lit.objects if item.type == "MESH" and item.is_shadow_catcher)
@@ -705,7 +682,7 @@ def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(tmp_p
         assert scan_of(scene).data != catcher.data
         remove_everything()
         assert scan_of(scene) is not None and len(scan_of(scene).data.polygons) > 0
-        assert result_rows(read_results(tmp_path / "out"))
+        assert result_rows(read_results(out))
 
 
 @pytest.mark.parametrize("light", ["sh", "sh+key+reflections"])
