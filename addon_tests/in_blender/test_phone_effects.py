@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from effect_scenes import shader_look
 from planned_effects import plan_light_transport
-from previs_runs import IPAD, SMALL, run
+from previs_runs import IPAD, SMALL
 from scene_snapshot import nothing_changes
 from tiny_scenes import (
     add,
@@ -34,7 +34,7 @@ from xihe_blender.previs.prepare import prepare_run
 from xihe_blender.previs.required_effects import effects_of_run, plan_phone_effects, positions_in
 from xihe_blender.previs.run_chain import walk_path
 from xihe_blender.previs.settings import load_estimators
-from xihe_blender.previs.simulated_phone import SURFACE_EFFECTS
+from xihe_blender.previs.simulated_phone import SURFACE_EFFECTS, choose_phone, simulate_phone
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.effects import effects_as_json
@@ -56,6 +56,12 @@ def planned(scene, out, settings):
     survey, estimator = survey_path(scene, plan), load_estimators(settings)
     run = run_blocking(prepare_run(scene, plan, survey, files, settings, estimator))
     return run_blocking(walk_path(run)).phone, load_frame(files.capture(plan.frames[0])), files
+
+
+def before_captures(scene, settings):
+    """The phone as the survey of the path alone has it."""
+    survey = survey_path(scene, plan_previs(scene, settings))
+    return simulate_phone(choose_phone(scene, survey, settings), {}, exposure=1.0)
 
 
 def state(phone, name):
@@ -119,10 +125,6 @@ def test_a_single_frame_of_a_walk_is_not_taken_for_a_still_camera(tmp_path):
     assert np.linalg.norm(phone.chosen.survey.frames[2].motion.velocity_m_per_s) == pytest.approx(0.3 * 24, rel=0.05)
 
 
-def _dimmed(scene):
-    key(light_strength(), "default_value", {1: 6.0, 3: 1.0})
-
-
 def _driven_lamp(scene):
     add_lamp(scene).data.driver_add("energy").driver.expression = "frame * 10"
 
@@ -149,10 +151,16 @@ def _a_virtual_lamp_changes(scene):
     add(scene, "Torch", lamp.data, collection=virtual_collection(scene))
 
 
-@pytest.mark.parametrize("change", [_dimmed, _driven_lamp, _switched_off, _carried_away, _sky_changes])
-def test_the_light_sensor_is_simulated_where_a_light_changes(change, tmp_path):
+@pytest.mark.parametrize("change", [_driven_lamp, _switched_off, _carried_away, _sky_changes])
+def test_a_light_that_changes_is_noticed(change):
     scene = room_with_a_virtual_sphere()
     change(scene)
+    assert before_captures(scene, IPAD).chosen.survey.light_changes
+
+
+def test_the_light_sensor_is_simulated_where_a_light_changes(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    key(light_strength(), "default_value", {1: 6.0, 3: 1.0})
     phone, captured, files = planned(scene, tmp_path, IPAD)
     assert state(phone, "light_sensor") == "on"
     assert not np.allclose(phone.see(captured, files)[0].ambient, captured.ambient, rtol=1e-3)
@@ -228,25 +236,24 @@ def test_materials_of_other_names_do_not_stand_in_for_a_mirror(tmp_path):
     assert list(from_left_to_right) == np.float32(list(roughness.values())).tolist() and seen[0, 0] == 1
 
 
-def test_a_path_that_is_coarser_than_the_network_says_so(tmp_path):
+def test_a_path_that_is_coarser_than_the_network_says_so():
     scene, settings = room_with_a_virtual_sphere(2), replace(SMALL, network="lte")
-    assert planned(scene, tmp_path, settings)[0].notes() == []
+    assert before_captures(scene, settings).notes() == []
     scene.render.fps = 2
-    phone, *_ = planned(scene, tmp_path, settings)
-    assert len(phone.notes()) == 1 and "500 ms" in phone.notes()[0] and "79 ms" in phone.notes()[0]
-    phone, *_ = planned(scene, tmp_path, replace(settings, effect_choices={"network": "off"}))
+    (note,) = before_captures(scene, settings).notes()
+    assert "500 ms" in note and "79 ms" in note
+    phone = before_captures(scene, replace(settings, effect_choices={"network": "off"}))
     assert phone.link_in_use is None and phone.effects["network"].origin == "user" and phone.notes() == []
 
 
-def test_choices_are_remembered_in_the_blend_and_the_runs_own_win(tmp_path):
+def test_choices_are_remembered_in_the_blend_and_the_runs_own_win():
     scene = room_with_a_virtual_sphere(1)
-    remember_overrides(scene, {"noise": "off", "range": "on", "volumes": "on"})
-    phone, *_ = planned(scene, tmp_path, IPAD)
-    assert (state(phone, "noise"), state(phone, "range")) == ("off", "on")
-    phone, *_ = planned(scene, tmp_path, replace(IPAD, effect_choices={"noise": "auto", "range": "off"}))
-    assert (state(phone, "noise"), state(phone, "range")) == ("on", "off")
-    perfect, *_ = planned(scene, tmp_path, SMALL)
-    assert perfect.on == frozenset()
+    remember_overrides(scene, {"noise": "off", "range": "off", "volumes": "on"})
+    phone = before_captures(scene, IPAD)
+    assert (state(phone, "noise"), state(phone, "range")) == ("off", "off")
+    phone = before_captures(scene, replace(IPAD, effect_choices={"noise": "auto", "range": "on"}))
+    assert (state(phone, "noise"), state(phone, "range")) == ("on", "on")
+    assert before_captures(scene, SMALL).on == frozenset()
 
 
 def announced(scene, settings=SESSION, *, is_captured=True):
@@ -257,12 +264,10 @@ def announced(scene, settings=SESSION, *, is_captured=True):
 @pytest.mark.slow
 def test_what_is_announced_is_what_the_run_simulates(tmp_path):
     scene = room_with_a_virtual_sphere()
-    effects = announced(scene)
-    results = run(scene, tmp_path, SESSION)
-    rows = {row["name"]: row for row in results["effects"]}
-    assert list(effects) == list(PHONE_EFFECTS)
-    assert {name: effect.state for name, effect in effects.items()} == {name: rows[name]["state"] for name in effects}
-    assert {"on", "off"} == {effect.state for effect in effects.values()}
+    states = {name: effect.state for name, effect in announced(scene).items()}
+    simulated = planned(scene, tmp_path, SESSION)[0].effects
+    assert list(states) == list(PHONE_EFFECTS) and set(states.values()) == {"on", "off"}
+    assert states == {name: simulated[name].state for name in states}
 
 
 def test_without_captures_nothing_is_left_out_that_captures_would_call_for():
