@@ -16,7 +16,6 @@ from tiny_scenes import geometry_nodes, saved
 from xihe_process import ROOT, said, typed, xihe
 
 from addon_tests.pure.commands import assert_refused, xihe_here
-from xihe_blender.io.folder_manifest import take_lock
 from xihenet import __version__
 
 DRAFT = ("--preset", "draft", "--size", "32x24", "--samples", "2", "--exposure", "1")
@@ -221,17 +220,6 @@ def test_a_run_stopped_by_ctrl_c_goes_on_with_the_same_command(folder, finished,
     done = assert_goes_on(folder, finished, out, xihe)
     assert done.stdout == finished[0].stdout.replace(str(finished[1]), str(out))
     assert {path: time for path, time in files_below(out).items() if path in before} == before
-
-
-def test_a_second_run_in_the_folder_of_one_that_is_under_way_is_refused(folder, finished, tmp_path):
-    shutil.copytree(finished[1], tmp_path / "out")
-    (tmp_path / "out" / "results.json").unlink()
-    with (tmp_path / "out" / "work" / "held").open("ab") as file:
-        assert take_lock(file)
-        assert_refused(
-            previs(folder / "walk.blend", tmp_path / "out"), "is under way", "another folder", after_progress=True
-        )
-    assert_goes_on(folder, finished, tmp_path / "out")
 
 
 @pytest.mark.slow

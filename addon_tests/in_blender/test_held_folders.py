@@ -18,6 +18,7 @@ from xihe_blender.lab.rooms.settings import BuildSettings, RoomRenderSettings
 from xihe_blender.previs.better_path import LookWishes, better_path
 from xihe_blender.previs.error_budget import error_budget
 from xihe_blender.previs.placement import PlacementSettings, placement
+from xihe_blender.previs.previs import previs
 from xihe_blender.previs.record import RecordWishes, record_session
 
 QUICK = QuickPrevis(size=(24, 18), preset="draft", samples=1, exposure=1.0)
@@ -31,6 +32,7 @@ WORK = {
     "budget": lambda scene, file, out: error_budget(scene, out, QUICK),
     "look": lambda scene, file, out: better_path(scene, out, QUICK, LookWishes(), blend_file=file),
     "placement": lambda scene, file, out: placement(scene, out, QUICK, PlacementSettings(), blend_file=file),
+    "run": lambda scene, file, out: previs(scene, out, QUICK),
     "record": lambda scene, file, out: record_session(scene, out, QUICK, RecordWishes(), blend_file=file),
 }
 
@@ -39,7 +41,7 @@ WORK = {
 def test_work_in_a_folder_of_work_under_way_is_refused(name, tmp_path):
     scene = walk()
     file, out = saved(tmp_path / "walk.blend"), tmp_path / "out"
-    in_work = name in ("frontier", "budget", "look", "placement", "record")
+    in_work = name in ("frontier", "budget", "look", "placement", "run", "record")
     (out / "work" if in_work else out).mkdir(parents=True)
     lock = (out / "work" / "held") if in_work else out / "held"
     with lock.open("ab") as held:
