@@ -1,6 +1,5 @@
 """The data set of rooms: what is stored is whole, the same every time, and true to the room."""
 
-import json
 import os
 import signal
 import subprocess
@@ -13,10 +12,8 @@ import numpy as np
 import pytest
 from previs_runs import files_below
 from small_rooms import SMALL, places_of, small_build
-from xihe_process import ROOT
 
 from xihe_blender.errors import UserError
-from xihe_blender.io.json_records import as_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms import render_room
 from xihe_blender.lab.rooms.build import LEFT_BEHIND_S, build_dataset, missing_rooms, rooms_held
@@ -31,7 +28,6 @@ from xihe_blender.lab.rooms.store import load_room, room_path, save_room, stored
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
 from xihe_blender.lab.rooms.views import BY_LAMP_M, MIN_CLEARANCE_M, N_POSITIONS, N_SUNLIT, N_VIEWS
 from xihe_blender.lab.workers import one_core
-from xihe_blender.lab.workers.processes import module_command
 from xihenet.camera import project_points, unproject_frame
 from xihenet.sphere import AnchorLattice
 from xihenet.training.rooms import frames_of
@@ -246,20 +242,16 @@ def test_a_second_build_makes_what_is_missing_alone(built):
     assert {name for name, time in files_below(built).items() if before[name] != time} == {room_path(built, 0).name}
 
 
-@pytest.mark.slow
-def test_a_killed_worker_leaves_whole_files_alone(tmp_path):
-    settings = json.dumps(as_json(small_build(50)))
-    command = [*module_command("xihe_blender.lab.rooms.worker"), str(tmp_path), settings, ",".join(map(str, range(50)))]
-    worker = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 60
-    while not any(stored_indices(tmp_path)) and worker.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.02)
-    os.kill(worker.pid, signal.SIGKILL)
-    worker.wait()
-    there = list(stored_indices(tmp_path))
-    assert there
-    for index in there:
-        assert load_room(room_path(tmp_path, index)).seed.tolist() == [5, index]
+def test_a_room_is_there_once_all_of_it_is_written(room, tmp_path, monkeypatch):
+    there, save = [], np.savez_compressed
+
+    def noted(path, **arrays):
+        save(path, **arrays)
+        there.extend(stored_indices(tmp_path))
+
+    monkeypatch.setattr(np, "savez_compressed", noted)
+    save_room(room_path(tmp_path, 0), room)
+    assert there == [] and list(stored_indices(tmp_path)) == [0]
 
 
 @pytest.mark.slow
