@@ -556,7 +556,7 @@ def test_an_overridden_virtual_object_is_estimated_where_it_was_moved_to(library
     bpy.context.view_layer.update()
     place = next(p.position_m for p in plan_previs(scene, SMALL).probes if p.name == "Ball")
     np.testing.assert_allclose(place, (0.25, 0, 0.85), atol=1e-6)
-    run(scene, tmp_path / "out")
+    run(scene, tmp_path / "out", replace(SMALL, frames=(1,)))
 
 
 def test_a_linked_object_with_the_name_of_another_is_told_apart_by_the_user(library, tmp_path):

@@ -17,7 +17,6 @@ from addon_tests.pure import runs
 from xihe_blender.addon import panels
 from xihe_blender.addon import runs_folder as reader
 from xihe_blender.addon.failures import in_the_panels_words
-from xihe_blender.previs.run_time import format_run_time
 
 CONTENT = runs.content(
     [
@@ -64,10 +63,6 @@ def test_the_tooltip_of_unknown_lights_says_how_many_the_server_did_not_answer(r
             tip for name, _, tip in panels.result_rows(reader.last_run(str(run_folder))) if name == "Unknown Light"
         )
         assert ("edge service did not answer: 2 of them" in tip) == said
-
-
-def test_the_time_of_a_run_fits_beside_its_button_in_a_narrow_sidebar():
-    assert format_run_time(3200) == "about 53 min"
 
 
 def test_several_estimators_stand_in_a_table_with_the_best_picture_first(run_folder):

@@ -65,6 +65,6 @@ def test_a_light_probe_takes_as_many_pictures_as_its_noise_asks_for(noise, targe
     assert pictures_needed(6, noise, ProbeSettings(max_samples=24, noise_target=target)) == pytest.approx(pictures)
 
 
-@pytest.mark.parametrize(("seconds", "words"), [(0.3, "5 s"), (170, "3 min"), (5000, "1 h 20 min")])
+@pytest.mark.parametrize(("seconds", "words"), [(0.3, "5 s"), (170, "3 min"), (3200, "53 min"), (5000, "1 h 20 min")])
 def test_the_time_is_said_in_round_numbers(seconds, words):
     assert format_run_time(seconds) == f"about {words}"

@@ -376,24 +376,20 @@ def test_a_training_stopped_within_an_epoch_goes_on_from_what_was_kept(caches, t
     assert (tmp_path / "a" / "curves.csv").read_text() == (tmp_path / "b" / "curves.csv").read_text()
 
 
-def test_a_learning_curve_takes_the_first_rooms_alone(caches, tmp_path):
+def test_a_learning_curve_takes_the_first_rooms_alone_and_another_seed_gives_other_weights(caches, tmp_path):
     clouds = open_split(caches["sphere"], "train")
     rows = rows_of_first_rooms(clouds, 2)
     assert set(clouds.room[rows]) == set(indices("train", 2))
     assert len(rows) == np.isin(clouds.room, clouds.room[rows]).sum()
     assert len(rows_of_first_rooms(clouds, None)) == len(clouds)
-    few, all_ = (weights(train(quick(caches["sphere"], tmp_path / str(n), epochs=1, n_rooms=n))) for n in (2, None))
-    assert not same_weights(few, all_)
+    every = quick(caches["sphere"], tmp_path / "every", epochs=1)
+    others = [{"n_rooms": 2, "out": tmp_path / "few"}, {"seed": 1, "out": tmp_path / "seed"}]
+    first = weights(train(every))
+    assert not any(same_weights(first, weights(train(dataclasses.replace(every, **other)))) for other in others)
+    with pytest.raises(ValueError, match="the same settings"):
+        train(dataclasses.replace(every, learning_rate=1e-5))
     with pytest.raises(ValueError, match="expected 1 to 4 training rooms"):
         rows_of_first_rooms(clouds, 5)
-
-
-def test_the_same_seed_gives_the_same_weights_and_another_seed_others(caches, tmp_path):
-    seeds = {"a": 1, "b": 1, "c": 2}
-    a, b, c = (weights(train(quick(caches["sphere"], tmp_path / n, epochs=2, seed=s))) for n, s in seeds.items())
-    assert same_weights(a, b) and not same_weights(a, c)
-    with pytest.raises(ValueError, match="the same settings"):
-        train(quick(caches["sphere"], tmp_path / "a", epochs=2, learning_rate=1e-5))
 
 
 def train_by_command(data, out, *more):
