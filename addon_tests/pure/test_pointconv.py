@@ -122,7 +122,7 @@ def test_pointar_says_what_it_needs(files):
         estimator.estimate(cloud, EstimateContext(points=raw_points()))
     with pytest.raises(ValueError, match="three finite numbers"):
         light_of(estimator, raw_points(), (np.nan, 0, 0))
-    with pytest.raises(ValueError, match="clouds of anchors no longer hold"):
+    with pytest.raises(ValueError, match="pointar: needs the raw points"):
         estimator.estimate_batch(*random_clouds(N))
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from xihenet.codec import MAX_DISTANCE_M
 from xihenet.estimators.base import EstimateContext, Estimator, Target
@@ -63,16 +62,6 @@ class XiheNet(_PointConv):
 
     name = "xihenet"
 
-    def estimate_batch(
-        self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
-    ) -> ArrayF64:
-        """(B, 9, 3) of B clouds, one after the other; ValueError for shapes or values that do not fit.
-
-        What stands at anchors that are not set does not matter, and `facing` is not asked.
-        """
-        colours, distances, known = self._checked_shapes(srgb, distance_m, np.asarray(is_set, bool))
-        return super().estimate_batch(np.where(known[..., None], colours, 0), np.where(known, distances, 0), known)
-
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         directions = AnchorLattice(self.n_anchors).directions.astype(np.float32)
         points = directions * np.minimum(cloud.distance_m, np.float32(MAX_DISTANCE_M))[:, None]
@@ -87,15 +76,6 @@ class PointAR(_PointConv):
 
     name = "pointar"
     needs = frozenset({"points"})
-
-    def estimate_batch(
-        self, srgb: ArrayLike, distance_m: ArrayLike, is_set: ArrayLike, *, facing: ArrayLike | None = None
-    ) -> ArrayF64:
-        """ValueError: clouds of anchors no longer hold the raw points."""
-        raise ValueError(
-            "pointar: draws from the raw points, which clouds of anchors no longer hold; "
-            "call estimate with EstimateContext(points=..., position_m=...) for each"
-        )
 
     def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:
         """Anchors of earlier frames do not help: the points are those of the moment."""
