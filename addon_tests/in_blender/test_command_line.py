@@ -224,6 +224,7 @@ def test_a_run_stopped_by_ctrl_c_goes_on_with_the_same_command(folder, finished,
 
 @pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_with_the_same_command(folder, finished, tmp_path):
+    written_before(finished, "work/capture_0004.exr", tmp_path)
     code, stdout, _ = stopped(folder / "walk.blend", tmp_path, "capturing frame 4", signal.SIGKILL)
     assert (code, stdout) == (-signal.SIGKILL, "")
     assert_goes_on(folder, finished, tmp_path)

@@ -25,6 +25,8 @@ from xihenet.captures.writing import WRITERS
 from xihenet.io.recording import load_frame
 from xihenet.light.light_picture import sphere_mask
 
+FEW = replace(SMALL, samples=1, exposure=1.0)
+
 
 def record(scene, out, settings=SMALL, **wishes):
     return run_blocking(record_session(scene, out, settings, RecordWishes(**wishes), blend_file=out / "none.blend"))
@@ -85,14 +87,20 @@ def test_the_true_light_is_that_of_the_run_and_measured_again_where_the_light_ch
     assert dimmed[0] / dimmed[1] == pytest.approx(spheres[0].mean() / spheres[1].mean(), rel=0.2) and dimmed[1] > 0
 
 
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory):
+    """A small session, recorded in our own layout."""
+    folder = tmp_path_factory.mktemp("ours") / "ours"
+    record(walk(2), folder, FEW)
+    return open_capture(folder)
+
+
 @pytest.mark.parametrize("layout", WRITERS)
-def test_other_layouts_are_read_as_the_session_that_was_recorded(tmp_path, layout):
-    settings = replace(SMALL, samples=1, exposure=1.0)
-    said = record(walk(2), tmp_path / "ours", settings), record(walk(2), tmp_path / "out", settings, layout=layout)
-    ours = open_capture(tmp_path / "ours")
+def test_other_layouts_are_read_as_the_session_that_was_recorded(ours, tmp_path, layout):
+    said = record(walk(2), tmp_path / "out", FEW, layout=layout)
     path = tmp_path / "out" / "recording.r3d" if layout == "record3d" else tmp_path / "out"
     theirs = open_capture(path)
-    assert said[1][0] == f"2 frames in {path}" and len(theirs.frames) == len(ours.frames) == 2
+    assert said[0] == f"2 frames in {path}" and len(theirs.frames) == len(ours.frames) == 2
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(other.plane_depth_m, one.plane_depth_m, atol=6e-4)
         # JPEG and video mix the colours of neighbours.
@@ -123,23 +131,22 @@ def test_a_room_without_virtual_objects_is_recorded_too_and_a_stopped_recording_
                 home.objects.unlink(item)
         return scene
 
-    settings = replace(SMALL, samples=1, exposure=1.0)
-    job = record_session(bare(), tmp_path / "out", settings, RecordWishes(), blend_file=tmp_path / "none.blend")
+    job = record_session(bare(), tmp_path / "out", FEW, RecordWishes(), blend_file=tmp_path / "none.blend")
     with contextlib.closing(job), counted_renders() as before:
         while before.count("Xihe Capture") < 2:
             next(job)
     assert not (tmp_path / "out" / "session.json").exists()
     scene = bare()
     with counted_renders() as after:
-        record(scene, tmp_path / "out", settings)
+        record(scene, tmp_path / "out", FEW)
     assert (before + after).count("Xihe Capture") == 3
     capture = open_capture(tmp_path / "out")
     assert [frame.number for frame in capture.frames] == [1, 2, 3] and capture.trigger is not None
     assert load_frame(tmp_path / "out" / "frame_000001.exr").frame == 2
     with pytest.raises(UserError, match="give --at X,Y,Z"):
-        record(bare(), tmp_path / "other", settings, has_truth=True)
+        record(bare(), tmp_path / "other", FEW, has_truth=True)
     assert not (tmp_path / "other").exists()
-    record(bare(), tmp_path / "other", settings, has_truth=True, at_m=[(0.0, 0.0, 1.0)])
+    record(bare(), tmp_path / "other", FEW, has_truth=True, at_m=[(0.0, 0.0, 1.0)])
     assert json.loads((tmp_path / "other" / "truth.json").read_text())["places"][0]["position_m"] == [0, 0, 1]
 
 

@@ -11,7 +11,6 @@ def registered():
         "operators": sorted(dir(bpy.ops.xihe)),
         "properties": [hasattr(bpy.types.Scene, "xihe"), hasattr(bpy.types.WindowManager, "xihe")],
         "handlers": {name: len(getattr(bpy.app.handlers, name)) for name in handlers},
-        "timers": bpy.app.timers.is_registered(registered),
     }
 
 
