@@ -82,6 +82,7 @@ def test_the_light_is_that_of_the_session_itself(tmp_path):
     assert main(["replay", str(tmp_path / "in"), *asked]) == 0
     written = read_strictly((tmp_path / "replay.json").read_text())
     lights = written["positions"][0]["lights"]
+    assert written["blender_from_recording"] == whole.blender_from_file.tolist()
     positions_m = {"place_0": np.array(AT)}
     unseen = never_in_view(whole, positions_m)
     lattice = estimators.load("lattice", target="hdr")

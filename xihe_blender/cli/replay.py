@@ -328,6 +328,7 @@ def _write(
         "trigger": asdict(_trigger(capture, options)),
         "target": options.target,
         "sh_axes": "right-handed, +Z up",
+        "blender_from_recording": capture.blender_from_file.tolist(),
         "positions": [
             {
                 "name": place.name,
