@@ -142,6 +142,14 @@ def test_light_in_other_axes_comes_from_the_same_places():
 KEY = KeyLight(np.array([0.0, -0.6, 0.8]), np.array([2.0, 1.0, 0.5]), 0.1, True)
 
 
+def test_a_key_light_is_taken_out_as_the_page_of_the_edge_service_says():
+    x, y, z = KEY.direction
+    polynomials = np.array([1, y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y])
+    cosine = np.cos(KEY.angular_radius)
+    by_band = np.repeat([2 / (1 + cosine), 1, cosine], [1, 3, 5])
+    np.testing.assert_allclose(sh_of_key_light(KEY), np.outer(K * polynomials * by_band, KEY.irradiance), atol=1e-5)
+
+
 def test_what_is_apart_and_what_is_left_are_the_light_once():
     light = ObjectLight(np.random.default_rng(0).normal(size=(9, 3)), KEY)
     np.testing.assert_allclose(soft_light(light, PLATFORMS["three"]) + sh_of_key_light(KEY), light.sh)
