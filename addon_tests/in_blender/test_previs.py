@@ -28,6 +28,7 @@ from tiny_scenes import room_with_a_virtual_sphere, sphere
 
 from xihe_blender.cli.previs import format_summary
 from xihe_blender.errors import UserError
+from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
@@ -54,6 +55,19 @@ def test_results_are_those_on_disk_and_every_file_that_they_name_is_there(finish
     assert finished.outputs.report.exists() and finished.outputs.lit_blend.exists()
     compared = [frame for frame, entry in entries(finished.results).items() if "comparison" in entry]
     assert compared[0] == 1 and compared[-1] == N_FRAMES
+
+
+def test_metrics_follow_from_the_files(finished):
+    outputs, results = finished.outputs, finished.results
+    compared = [frame for frame in results["frames"] if frame.get("comparison")]
+    for frame in compared:
+        names = ("objects", "ground_truth", *frame["comparison"])
+        share, true, *pictures = (read_radiance(outputs.radiance(name, frame["frame"])).astype(float) for name in names)
+        assert share[..., 0].sum() == pytest.approx(frame["object_pixels"])
+        for metrics, picture in zip(frame["comparison"].values(), pictures, strict=True):
+            off = (picture - true) * results["settings"]["reference_exposure"]
+            assert np.sqrt((share * off**2).sum() / share.sum()) == pytest.approx(metrics["rmse"], rel=1e-4)
+    assert compared
 
 
 @pytest.mark.slow

@@ -29,6 +29,9 @@ from xihenet.io.recording import load_frame
 from xihenet.walk.placement import evenly_chosen
 from xihenet.walk.surfaces import Surface
 
+OBJECTS = "objects"
+"""Beside the radiance of each method: the share of each pixel that objects cover, by which metrics weigh."""
+
 MOST_SEEN = 12
 """Captures in which surfaces are looked for, evenly spread: more show no more of a table."""
 
@@ -85,7 +88,7 @@ def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
     compared = read_record(ComparedFrame, outputs.compared(source))
-    for method in ("ground_truth", *compared.comparison):
+    for method in ("ground_truth", OBJECTS, *compared.comparison):
         copy_whole(outputs.radiance(method, source), outputs.radiance(method, frame))
     # What the phone saw has been written before; its exposure may differ.
     for kind in compared.pictures.keys() - {"captured"}:
@@ -139,6 +142,8 @@ def _write_pictures(run: PreparedRun, frame: int, compared: Comparison) -> dict[
         pictures[f"error_{method}"] = methods.error_map(picture, compared.ground_truth, compared.weights)
     for kind, picture in shown.items():
         write_radiance(run.outputs.radiance(kind, frame), (picture / run.exposure).astype(np.float32))
+    share = np.repeat(compared.weights[..., None], 3, axis=-1)
+    write_radiance(run.outputs.radiance(OBJECTS, frame), share.astype(np.float32))
     for kind, picture in pictures.items():
         write_picture(run.outputs.picture(kind, frame), picture)
     return {kind: run.outputs.relative(run.outputs.picture(kind, frame)) for kind in ("captured", *pictures)}
