@@ -133,6 +133,7 @@ def test_the_page_is_one_file_with_its_pictures(tmp_path):
     trials = batch()
     folder = folder_with_pictures(tmp_path, trials)
     page = report_page(folder, results(trials), None)
+    assert "Error in sRGB (black: none, brightest: 25" in page
     assert page.count("data:image/png") == 18 and not re.findall(r'(?:src|href)="(?!data:|#)', page)
     questions = ("Which estimator", "better phone", "How often", "How many anchors", "last 10\u202f%", "Worst cases")
     assert all(question in page for question in questions)

@@ -58,7 +58,7 @@ from xihe_blender.compare.shadows import (
     surroundings,
     touches_view,
 )
-from xihe_blender.io.run_results import Metrics
+from xihe_blender.io.run_results import ERROR_AT_FULL_SCALE, Metrics
 from xihe_blender.scene.estimation_positions import box_corners_m
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart, part_around, unproject_frame, valid_plane_depth
@@ -97,9 +97,6 @@ NEAREST_M = 0.05
 REFLECTION_SAMPLES = 32
 """Of a pixel of an object that reflects a picture, at least: rays meet the lamps in it by luck, and with 8
 their noise was up to a third of a metal sphere's error. Objects alone render so fast that 32 hardly take longer."""
-
-ERROR_AT_FULL_SCALE = 0.25
-"""Difference of sRGB-encoded colour at which the error map reaches its brightest colour."""
 
 _ERROR_STOPS = np.array([[0, 0, 4], [87, 16, 110], [188, 55, 84], [249, 142, 9], [252, 255, 164]]) / 255.0
 

@@ -220,6 +220,9 @@ class Metrics:
     ring_rmse: Annotated[float | None, "root mean square error around the objects, where their shadow falls"] = None
 
 
+ERROR_AT_FULL_SCALE = 0.25
+"""Difference of sRGB-encoded colour at which an error map reaches its brightest colour."""
+
 METRICS = tuple(field.name for field in fields(Metrics))
 
 

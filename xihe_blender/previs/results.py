@@ -13,7 +13,6 @@ import bpy
 
 from xihe_blender.apply.reflection_pictures import has_sun_for_lamp
 from xihe_blender.capture.cycles_device import device_of
-from xihe_blender.compare.methods import ERROR_AT_FULL_SCALE
 from xihe_blender.io import run_results as records
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.json_records import from_json
@@ -157,7 +156,7 @@ def _settings(run: PreparedRun) -> records.RunSettings:
         truth_size=(reference.size, reference.size),
         comparison_step=preset.comparison_step,
         comparison_view_transform="Standard",
-        error_map_full_scale=ERROR_AT_FULL_SCALE,
+        error_map_full_scale=records.ERROR_AT_FULL_SCALE,
     )
     return records.RunSettings(**as_set | came_to_be)
 

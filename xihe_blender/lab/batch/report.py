@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from xihe_blender.io.run_results import ERROR_AT_FULL_SCALE
 from xihe_blender.lab.batch import answers, drawings
 from xihe_blender.lab.batch.answers import MEASURES, Measure, format_interval
 from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, BatchResults, Trial, UnitRow, worst_picture
@@ -34,7 +35,11 @@ from xihenet.formats import (
 )
 
 N_WORST = 6
-_KIND_WORDS = {"ground_truth": "Ground truth", "estimate": "Under the estimated light", "error": "Error (black: none)"}
+_KIND_WORDS = {
+    "ground_truth": "Ground truth",
+    "estimate": "Under the estimated light",
+    "error": f"Error in sRGB (black: none, brightest: {format_percent(ERROR_AT_FULL_SCALE)} or more)",
+}
 _DOTS = "A dot is a trial: one scene with one seed and one phone. The box holds the middle half of them."
 
 WITHOUT_FRONTIER = (
