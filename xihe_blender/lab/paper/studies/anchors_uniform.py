@@ -81,7 +81,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     steady, rng = with_truth(sessions), options.rng
     found = list(views(sessions, 8 if options.quick else 40))
     if len(found) < 2 or sum(len(session.places) for session in steady) < 2:
-        raise UserError("fewer than two places of steady rooms are in view")
+        raise UserError("rooms whose light stands still have fewer than two places in view: give more --scenes")
     seen_in = [view.room for view in found]
     own = {name: areas(lattice, rng) for name, lattice in ANCHORS.items()}
     rooms = [session.name for session in steady for _ in session.places]

@@ -160,7 +160,7 @@ def _bits(points_m: ArrayF64, position_m: ArrayF64, way: Way) -> float:
 def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]:
     found = with_holes(scans(sessions, 4 if options.quick else 12, options.rng), options.rng)
     if len(found) < 8:
-        raise UserError("fewer than eight frames show an upward surface")
+        raise UserError("fewer than eight frames show an upward surface: give more --scenes")
     for name, way in SWITCHES.items():
         of_views = [relative_entropy(scan, way, options.seed + k) for k, scan in enumerate(found)]
         if way == PAPER_WAY:

@@ -43,7 +43,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         for light, seen in pictures.items():
             errors[light] += [_errors(one, truth) for one, truth in zip(seen, truths, strict=True)]
     if len(rooms) < 2:
-        raise UserError("fewer than two places in rooms with a .blend file")
+        raise UserError("fewer than two places in rooms with a .blend file: give more --scenes")
     for light, each in errors.items():
         for cell, (metallic, smoothness) in enumerate(GRID):
             of_all = measured([place[cell] for place in each], options.rng, groups=rooms)

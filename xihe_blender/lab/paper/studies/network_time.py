@@ -34,7 +34,7 @@ def cloud_bytes(sessions: Sequence[Session]) -> list[int]:
     lattice = AnchorLattice(1280)
     clouds = [view.cloud(lattice) for view in views(sessions, 40)]
     if not clouds:
-        raise UserError("no frame of the sessions has a place in view")
+        raise UserError("no frame of the rooms has a place in view: give more --scenes")
     return [len(encode_cloud(cloud)) for cloud in clouds]
 
 

@@ -54,7 +54,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         if found:
             write_picture(options.folder / f"{session.name}.png", _strip(*found[0]))
     if len(rooms) < 2:
-        raise UserError("fewer than two places in view of rooms with a .blend file")
+        raise UserError("fewer than two places in view of rooms with a .blend file: give more --scenes")
     cases = of_rooms("views", rooms)
     for method in METHODS:
         of_all = measured(errors[method], options.rng, groups=rooms)
