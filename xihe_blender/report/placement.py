@@ -52,7 +52,7 @@ def _opening(results: PlacementResults) -> str:
 
 
 def _table(places: Sequence[Place]) -> str:
-    head = ["x, y, z (m)", "expected error", "coverage", "estimated irradiance, upwards", "true error"]
+    head = ["x, y, z (m)", "expected error", "coverage", "irradiance, upwards (RGB, radiance times sr)", "true error"]
     rows = [
         [
             format_position(place.position_m),
