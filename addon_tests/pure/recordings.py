@@ -162,7 +162,6 @@ def as_plain_files(folder, frames):
 SMALL = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
 UPRIGHT = Intrinsics(36, 48, 30.0, 30.0, 18.3, 24.0)
 TUM = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
-SEVEN_SCENES = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 QUARTER_TUM = Intrinsics(160, 120, 131.25, 131.25, 80.0, 60.0)
 QUARTER_SCENES = Intrinsics(160, 120, 146.25, 146.25, 80.0, 60.0)
 VIDEO = pytest.mark.wheel_only("a whole Blender's Python has no PyAV, whose FFmpeg is not Blender's")

@@ -10,12 +10,9 @@ from addon_tests.pure.broken_recordings import FORMATS
 from addon_tests.pure.recordings import (
     LAYOUTS,
     LOSSY,
-    SEVEN_SCENES,
     SMALL,
-    TUM,
     as_nerfstudio,
     as_plain,
-    as_seven_scenes,
     as_tum,
     doubted,
     layouts,
@@ -66,14 +63,6 @@ def test_what_is_read_is_what_was_seen(recorded):
         np.testing.assert_allclose(read.world_from_camera[:3], turn @ made.world_from_camera[:3], atol=1e-5)
         assert vars(read.intrinsics) == pytest.approx(vars(made.intrinsics))
         assert read.time_s == pytest.approx(made.time_s, abs=1e-4)
-
-
-@pytest.mark.parametrize(("write", "intrinsics"), [(as_tum, TUM), (as_seven_scenes, SEVEN_SCENES)])
-def test_pictures_of_the_benchmarks_own_size_are_read_as_they_are(tmp_path, write, intrinsics):
-    (made,) = walk(intrinsics, 1)
-    (read,) = open_capture(write(tmp_path, [made]))
-    assert read.intrinsics == made.intrinsics and (read.srgb_u8 == made.srgb_u8).all()
-    np.testing.assert_allclose(read.plane_depth_m, made.plane_depth_m, atol=6e-4)
 
 
 def test_the_light_is_that_of_the_session_itself(tmp_path):

@@ -96,12 +96,7 @@ def test_a_batch_takes_facing_by_name_and_equals_single_estimates():
     np.testing.assert_array_equal(
         projection.estimate_batch(*arrays), [projection.estimate(without_surfaces(c)) for c in clouds]
     )
-    lattice = estimators.load("lattice")
-    faced, plain = lattice.estimate_batch(*arrays, facing=facing), lattice.estimate_batch(*arrays)
-    np.testing.assert_allclose(faced, [lattice.estimate(c) for c in clouds], atol=1e-5)
-    np.testing.assert_allclose(plain, [lattice.estimate(without_surfaces(c)) for c in clouds], atol=1e-5)
-    assert np.abs(faced - plain).max() > 0.01
-    for estimator in (projection, lattice):
+    for estimator in (projection, estimators.load("lattice")):
         assert estimator.estimate_batch(*(array[:0] for array in arrays)).shape == (0, 9, 3)
 
 

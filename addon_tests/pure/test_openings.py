@@ -106,14 +106,6 @@ def test_where_there_is_nothing_to_fill_the_same_array_comes_back(nothing):
     assert filled(plane_depth_m) is plane_depth_m
 
 
-@pytest.mark.parametrize("unit", [1e-3, 1e3])
-def test_a_scene_in_another_unit_has_the_same_openings(unit):
-    rng = np.random.default_rng(0)
-    plane_depth_m = rng.uniform(0.3, 9, (36, 48)).astype(np.float32)
-    plane_depth_m[8:24, 10:30] = 0
-    np.testing.assert_allclose(filled(plane_depth_m * np.float32(unit)) / unit, filled(plane_depth_m), rtol=1e-5)
-
-
 def test_a_hole_with_nothing_beside_it_stays_as_it_is():
     plane_depth_m = np.full((9, 9), 2.0, np.float32)
     plane_depth_m[2:7, 2:7], plane_depth_m[4, 4] = np.nan, 0

@@ -143,12 +143,6 @@ def test_a_recording_far_from_its_origin_has_the_same_surfaces():
     )
 
 
-def test_the_same_frames_give_the_same_bytes():
-    frames = walk(K, 4)
-    one, other = mesh_of(frames), mesh_of(frames)
-    assert one.points_m.tobytes() == other.points_m.tobytes() and one.quads.tobytes() == other.quads.tobytes()
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_not_looked_at_any_further_would_not_count(seed):
     generator = np.random.default_rng(seed)

@@ -52,7 +52,7 @@ def several_views(sessions: Sequence[Session], options: StudyOptions, *, is_stea
     found = list(views(with_truth(sessions) if is_steady else sessions, 20 if options.quick else 100))
     if len(found) < 2:
         raise UserError(
-            f"{'rooms whose light stands still' if is_steady else 'the rooms'} have fewer than two frames with a place in "
+            f"fewer than two frames of {'rooms whose light stands still' if is_steady else 'the rooms'} have a place in "
             "view: give more --scenes"
         )
     return found
