@@ -120,7 +120,7 @@ def test_a_lamp_is_as_white_through_fog_as_many_rays_show_it():
     air = fog("Air")
     air.node_tree.nodes["Volume Scatter"].inputs["Density"].default_value = 0.4
     box(scene, "Air", POSITION, (8, 8, 8), air)
-    settings = replace(FEW, max_samples=8, light_transport=(("volume_bounces", 1),))
+    settings = replace(FEW, size=48, max_samples=8, light_transport=(("volume_bounces", 1),))
     with open_reference_probe(scene, [POSITION], settings) as probe:
         many = stacked_rgb(probe.view(0, 9, samples=64).passes, "Combined")
         clipped = project_mirror_ball(np.minimum(many, 1))
@@ -171,7 +171,7 @@ def test_irradiance_is_that_of_a_white_patch():
     bpy.data.objects.remove(bpy.data.objects["Ball"])
     add_lamp(scene, "AREA", np.array([0.0, 0.6, 0.8]), 1.0, energy=10.0, size=0.3)
     place = (0.1, -0.1, 1.2)
-    light = measured(scene, ProbeSettings(max_samples=8, noise_target=None), position_m=place).hdr
+    light = measured(scene, ProbeSettings(96, 8, noise_target=None), position_m=place).hdr
     normals = np.concatenate([np.eye(3), -np.eye(3)])
     patched = np.array([_baked(scene, place, normal) for normal in normals])
     found = irradiance(light, normals)
