@@ -51,10 +51,8 @@ def several_views(sessions: Sequence[Session], options: StudyOptions, *, is_stea
     """20 of each room if it is to be quick, else 100, of steady rooms alone or of all. UserError for fewer than two."""
     found = list(views(with_truth(sessions) if is_steady else sessions, 20 if options.quick else 100))
     if len(found) < 2:
-        raise UserError(
-            f"fewer than two frames of {'rooms whose light stands still' if is_steady else 'the rooms'} have a place in "
-            "view: give more --scenes"
-        )
+        rooms = "rooms whose light stands still" if is_steady else "the rooms"
+        raise UserError(f"fewer than two frames of {rooms} have a place in view: give more --scenes")
     return found
 
 
