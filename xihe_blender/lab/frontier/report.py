@@ -170,14 +170,12 @@ def _how(frontier: Frontier) -> str:
 
 
 def pareto_plot(points: Sequence[FrontierPoint], title: str, about: str) -> str:
-    """Error against time, both over powers of ten; a sentence where there is no point. `title`, `about` are HTML.
+    """Error against time, both over powers of ten, of one point at least. `title`, `about` are HTML.
 
     Every choice is a mark with its spread in both directions; the front is a staircase through its choices, since what
     lies right of it and above is no better; presets have their names. An error of 0, the exhaustive setting's own, has
     no place on such an axis and is drawn at its foot, below a gap.
     """
-    if not points:
-        return svg.figure("", title=title, about="Nothing was measured.", is_wide=True)
     errors = [p.error for p in points if p.error > 0]
     times, heights = log_axis([p.time_ms for p in points], format_milliseconds), log_axis(errors, _percent)
     unnamed = sorted((p for p in points if p.on_front and p.preset is None), key=lambda p: p.time_ms)
@@ -215,7 +213,7 @@ def _front_line(times: Axis, errors: Axis, points: Sequence[FrontierPoint]) -> s
     steps: list[tuple[float, float]] = []
     for x, y in ((_x(times, p.time_ms), _y(errors, p.error)) for p in front):
         steps += [(x, steps[-1][1] if steps else y), (x, y)]
-    return svg.line([*steps, (100.0, steps[-1][1])] if steps else [], "s0", FOOT_PX)
+    return svg.line([*steps, (100.0, steps[-1][1])], "s0", FOOT_PX)
 
 
 def _runs(times: Axis, errors: Axis, ordered: Sequence[FrontierPoint]) -> list[list[FrontierPoint]]:
