@@ -79,7 +79,12 @@ class FolderManifest:
         All who work in a folder do so within this. Of two who come at once the first takes it and the other is refused.
         """
         self.check()
-        with contextlib.closing(self._opened_lock()) as lock:
+        try:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            lock = self.file.with_name(HELD).open("ab")
+        except OSError as error:
+            raise self._cannot_write(error) from error
+        with lock:
             if not take_lock(lock):
                 raise self.under_way()
             try:
@@ -99,13 +104,6 @@ class FolderManifest:
         return UserError(
             f"{self.what} is under way in {self.folder}: wait for its end, or choose another folder for --out"
         )
-
-    def _opened_lock(self) -> IO[bytes]:
-        try:
-            self.file.parent.mkdir(parents=True, exist_ok=True)
-            return self.file.with_name(HELD).open("ab")
-        except OSError as error:
-            raise self._cannot_write(error) from error
 
     def _cannot_write(self, error: OSError) -> UserError:
         return UserError(f"cannot write to {self.folder} ({error.strerror}): choose another folder for --out")

@@ -79,7 +79,7 @@ def _subsurface(s: SceneFacts) -> Requirement:
 
 
 def _hair(s: SceneFacts) -> Requirement:
-    strands = s.survey.strands + s.survey.which(Interaction.HAIR)
+    strands = [*s.survey.strands, *s.survey.which(Interaction.HAIR)]
     return Requirement(bool(strands), _rendered("hair or fur strands", strands), {}, {})
 
 
@@ -92,13 +92,13 @@ def _motion_blur(s: SceneFacts) -> Requirement:
 
 
 def _depth_of_field(s: SceneFacts) -> Requirement:
-    cameras = s.survey.defocused
+    cameras = list(s.survey.defocused)
     reason = f"camera {_named(cameras)} has depth of field" if cameras else "no camera of the run has depth of field"
     return Requirement(bool(cameras), reason, {}, {})
 
 
 def _light_tree(s: SceneFacts) -> Requirement:
-    n, emitters = s.survey.n_lights, s.survey.emitters
+    n, emitters = s.survey.n_lights, list(s.survey.emitters)
     reason = "the scene has one light" if n else "the scene has no light"
     if n > 1:
         reason = f"the scene has {n} lights, counting glowing objects and the world"

@@ -51,17 +51,18 @@ class TransportSurvey:
     """What light can reach over the inspected frames.
 
     `surfaces` have an interaction, in words ("material 'Glass' on 'Vase'"), in the order in which they were found;
-    without those `unreached`, of which no ray of the camera or a probe reaches the subsurface.
+    without those `unreached`, of which no ray of the camera or a probe reaches the subsurface. Names are the keys of
+    dictionaries: in a list, to look for one would take minutes with tens of thousands of objects.
     """
 
-    surfaces: dict[Interaction, list[str]] = field(default_factory=dict)
+    surfaces: dict[Interaction, dict[str, None]] = field(default_factory=dict)
     unreached: list[str] = field(default_factory=list)
-    strands: list[str] = field(default_factory=list)  # objects with hair
+    strands: dict[str, None] = field(default_factory=dict)  # objects with hair
     n_lights: int = 0  # the most lamps, emitting objects and emitting worlds at any one frame
     has_lamps: bool = False  # whether there are lamps, switched on at any frame
-    emitters: list[str] = field(default_factory=list)  # names of the emitting objects
+    emitters: dict[str, None] = field(default_factory=dict)  # names of the emitting objects
     world: Interaction = Interaction.NOTHING  # what the world may do
-    defocused: list[str] = field(default_factory=list)  # cameras with depth of field
+    defocused: dict[str, None] = field(default_factory=dict)  # cameras with depth of field
     is_moving: bool = False  # something stands otherwise in one frame than in another
     carried: list[ArrayF64] = field(default_factory=list)  # (N_SURFACES,) of each walk of light; see `enclosure`
 
@@ -82,7 +83,6 @@ class TransportSurveyor:
         self.walked = sorted({frames[0], frames[len(frames) // 2], frames[-1]})
         self.found = TransportSurvey()
         self.placements: set[tuple[int, int]] = set()
-        self.noted: dict[int, set[str]] = {}  # what each list of `found` holds, by its id
         self.leaky: set[str] = set()  # surfaces, in words, which light passes in ways that the walks do not
         self.views: list[Ray] = rays_all_round(positions)
         self.reached: list[Ray] = []  # places on surfaces that the walks met, with their normals
@@ -98,7 +98,7 @@ class TransportSurveyor:
         self.found.n_lights = max(self.found.n_lights, n_lights)
         camera = depsgraph.scene.camera.evaluated_get(depsgraph)
         if camera.type == "CAMERA" and camera.data.dof.use_dof:
-            self._note(self.found.defocused, camera.name)
+            self.found.defocused[camera.name] = None
         picture = rays_through_picture(camera, depsgraph.scene)
         self.views += picture
         if depsgraph.scene.frame_current in self.walked:
@@ -116,7 +116,7 @@ class TransportSurveyor:
         for frame in self.walked:
             inspection.look_at(frame, self.walk_room)
         self.found.is_moving = len(self.placements) > 1
-        self._leave_out_unreached(self.found.surfaces.get(Interaction.SUBSURFACE, []))
+        self._leave_out_unreached()
         return self.found
 
     def walk_room(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -124,8 +124,9 @@ class TransportSurveyor:
         picture = rays_through_picture(depsgraph.scene.camera.evaluated_get(depsgraph), depsgraph.scene)
         self._walk(depsgraph, rays_all_round(self.positions), picture)
 
-    def _leave_out_unreached(self, surfaces: list[str]) -> None:
-        """Keep those of `surfaces` that a ray meets; all of them if there is none and the rays cannot tell."""
+    def _leave_out_unreached(self) -> None:
+        """Keep what has a subsurface that a ray meets; all of it if none is met and the rays cannot tell."""
+        surfaces = list(self.found.surfaces.get(Interaction.SUBSURFACE, ()))
         rooms, rng = self.solids.values(), np.random.default_rng(0)
         is_known = len(surfaces) <= MAX_AIMED_AT and len({of_surfaces for of_surfaces, _ in self.placements}) == 1
         if is_known and not any(room.met.intersection(surfaces) for room in rooms):
@@ -139,8 +140,8 @@ class TransportSurveyor:
         is_known &= all(room.is_exact for room in rooms) and not met & self.leaky
         reached = [words for words in surfaces if words in met]
         if reached or is_known:
-            self.found.unreached = [] if reached else surfaces.copy()
-            surfaces[:] = reached
+            self.found.unreached = [] if reached else surfaces
+            self.found.surfaces[Interaction.SUBSURFACE] = dict.fromkeys(reached)
 
     def look_for_movement(self, depsgraph: bpy.types.Depsgraph) -> None:
         self.placements.add(placement(depsgraph.object_instances))
@@ -149,7 +150,7 @@ class TransportSurveyor:
         look = self._look(world, world_shading)
         self.found.world |= look.interactions
         if world is not None and look.interactions & Interaction.VOLUME:
-            self._note(self.found.surfaces.setdefault(Interaction.VOLUME, []), f"world {world.name!r}")
+            self.found.surfaces.setdefault(Interaction.VOLUME, {})[f"world {world.name!r}"] = None
         return int(bool(look.interactions & Interaction.EMISSION))
 
     def _instance(self, instance: Any) -> int:
@@ -165,7 +166,7 @@ class TransportSurveyor:
         emits = 0
         if instance.show_self and item.type in GEOMETRY_TYPES:
             if item.type == "CURVES" and is_seen:
-                self._note(self.found.strands, item.name)
+                self.found.strands[item.name] = None
             for material in _used_materials(item):
                 emits |= self._surface(item, material, is_seen)
                 if not all(_is_visible(instance, (ray,)) for ray in RAYS):
@@ -173,7 +174,7 @@ class TransportSurveyor:
         if instance.show_particles and is_seen:
             for settings in (system.settings for system in item.particle_systems):
                 if settings.type == "HAIR" and settings.render_type == "PATH":
-                    self._note(self.found.strands, item.name)
+                    self.found.strands[item.name] = None
                     self._surface(item, _slot_material(item, settings.material - 1), is_seen)
         return emits
 
@@ -185,10 +186,10 @@ class TransportSurveyor:
         if look.interactions & LEAKY or (material is not None and material.original not in self.still):
             self.leaky.add(words)
         for interaction in look.interactions if is_seen else look.interactions & Interaction.TRANSPARENT:
-            self._note(self.found.surfaces.setdefault(interaction, []), words)
+            self.found.surfaces.setdefault(interaction, {})[words] = None
         emits = is_seen and bool(look.interactions & Interaction.EMISSION)
         if emits:
-            self._note(self.found.emitters, item.name)
+            self.found.emitters[item.name] = None
         return int(emits)
 
     def _look(self, block: Any, read: Any) -> Shading:
@@ -209,13 +210,6 @@ class TransportSurveyor:
             weights, reached = carried(self.solids[key], rays, np.random.default_rng(0))
             self.found.carried.append(weights)
             self.reached += reached
-
-    def _note(self, words: list[str], word: str) -> None:
-        """Add a word that `words` lacks; to look for it there would take minutes with tens of thousands of objects."""
-        noted = self.noted.setdefault(id(words), set(words))
-        if word not in noted:
-            noted.add(word)
-            words.append(word)
 
 
 def _is_visible(instance: Any, rays: Sequence[str]) -> bool:

@@ -78,8 +78,11 @@ def box_cell_centres(low_m: ArrayF64, high_m: ArrayF64, spacing_m: float) -> Arr
 
 def box_corners_m(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ArrayF64:
     """Box corners (8 n, 3), world, metres, of all that `object` puts into the render; its origin if nothing."""
-    instances = (instance for instance in depsgraph.object_instances if _belongs_to(instance, object))
-    boxes = [_transformed(instance.object.bound_box, instance.matrix_world) for instance in instances]
+    boxes = []
+    for instance in depsgraph.object_instances:
+        source = instance.parent if instance.is_instance else instance.object
+        if source is not None and source.original == object and instance.object.type in RENDERED_TYPES:
+            boxes.append(_transformed(instance.object.bound_box, instance.matrix_world))
     evaluated = object.evaluated_get(depsgraph)
     if not boxes and object.type in GEOMETRY_TYPES:
         # Not among the instances: hidden in this view layer, which does not move it.
@@ -87,11 +90,6 @@ def box_corners_m(object: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> A
         boxes = [_transformed(corners, evaluated.matrix_world)]
     corners = np.concatenate(boxes) if boxes else np.array([evaluated.matrix_world.translation], np.float64)
     return corners * metres_per_unit(depsgraph.scene)
-
-
-def _belongs_to(instance: Any, object: bpy.types.Object) -> bool:
-    source = instance.parent if instance.is_instance else instance.object
-    return source is not None and source.original == object and instance.object.type in RENDERED_TYPES
 
 
 def _corners_of_curve(evaluated: bpy.types.Object) -> Any:
