@@ -55,7 +55,7 @@ from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
 from xihenet.camera import project_points, unproject_frame
 from xihenet.captures import open_capture
-from xihenet.captures.checks import steadied
+from xihenet.captures.drift import steadied
 from xihenet.captures.replay import REPLAY_TRIGGER, never_in_view, replay
 from xihenet.captures.scan import Scan, ScanSettings
 from xihenet.colour import linear_to_srgb, srgb_to_linear

@@ -8,8 +8,7 @@ from addon_tests.pure.recordings import HALF, walk
 from addon_tests.pure.test_estimate_command import read_strictly
 from xihe_blender.cli.main import main
 from xihenet.camera import unproject_frame
-from xihenet.captures import open_capture
-from xihenet.captures.by_hand import set_by_hand
+from xihenet.captures import open_capture, set_by_hand
 from xihenet.captures.writing import WRITERS
 from xihenet.captures.writing.pictures import Form
 from xihenet.records import Intrinsics

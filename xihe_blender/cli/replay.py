@@ -22,8 +22,8 @@ from xihe_blender.report.replay import write_replay_report
 from xihenet import __version__, estimators
 from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture, CapturedFrame
-from xihenet.captures.checks import steadied, suspicion
-from xihenet.captures.drift import Drift
+from xihenet.captures.conventions import suspicion
+from xihenet.captures.drift import Drift, steadied
 from xihenet.captures.reading import READERS
 from xihenet.captures.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.edge.client import EdgeBackend, backend_at

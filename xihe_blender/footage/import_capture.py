@@ -32,7 +32,8 @@ from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import valid_plane_depth
 from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture, CapturedFrame
-from xihenet.captures.checks import steadied, suspicion
+from xihenet.captures.conventions import suspicion
+from xihenet.captures.drift import steadied
 from xihenet.captures.reading import READERS, xihe_session
 from xihenet.captures.scan import FARTHEST_M, Scan
 from xihenet.formats import format_bytes, format_count

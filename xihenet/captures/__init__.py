@@ -6,12 +6,14 @@ import contextlib
 from dataclasses import replace
 from pathlib import Path
 
-from xihenet.captures.by_hand import set_by_hand
-from xihenet.captures.capture import Capture
+import numpy as np
+
+from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.reading import READERS
 from xihenet.captures.reading.record3d import SUFFIX
 from xihenet.formats import format_count
 from xihenet.io.frame_files import off_centre
+from xihenet.records import RgbdFrame
 
 ARCHIVES = (SUFFIX, ".zip")
 N_NAMED = 3
@@ -36,6 +38,31 @@ def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor
         f"{path} holds no recording that is known: expected one of {', '.join(READERS)}. Convert other recordings to "
         "a plain folder: camera.json, colour/, depth/ and poses/, as docs/captures.md says"
     )
+
+
+def set_by_hand(capture: Capture, *, scale: float = 1.0, floor_m: float = 0.0) -> Capture:
+    """A recording whose scale or floor is known better than it knows itself.
+
+    Lengths are `scale` times as long, and then `floor_m` lower, so that the floor is at height 0. Poses and depth are
+    scaled alike. ValueError for a scale that is not positive, or a floor that is not finite.
+    """
+    if not 0 < scale < np.inf:
+        raise ValueError(f"the scale of a recording is a positive factor: {scale:g} is none")
+    if not np.isfinite(floor_m):
+        raise ValueError(f"the floor of a recording is a height in metres: {floor_m:g} is none")
+    if (scale, floor_m) == (1.0, 0.0):
+        return capture
+    return replace(capture, frames=[_placed(frame, scale, floor_m) for frame in capture.frames])
+
+
+def _placed(frame: CapturedFrame, scale: float, floor_m: float) -> CapturedFrame:
+    pose = frame.camera.world_from_camera.copy()
+    pose[:3, 3] = scale * pose[:3, 3] - (0, 0, floor_m)
+
+    def placed(read: RgbdFrame) -> RgbdFrame:
+        return replace(read, world_from_camera=pose, plane_depth_m=read.plane_depth_m * np.float32(scale))
+
+    return frame.changed(placed, replace(frame.camera, world_from_camera=pose))
 
 
 def _recordings_in(folder: Path) -> list[Path]:

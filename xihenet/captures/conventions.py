@@ -17,7 +17,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from xihenet.captures.self_fit import AS_READ, DEPTHS, POSES, Fit, Recording
+import numpy as np
+
+from xihenet.captures.capture import Capture
+from xihenet.captures.self_fit import AS_READ, DEPTHS, MOST_FRAMES, POSES, Fit, Recording
 from xihenet.records import ArrayF64, RgbdFrame
 
 SMALLEST_SHARE = 0.6  # Less is no good fit, whatever the others are: wrong conventions agree on 10 to 70 % by chance
@@ -61,6 +64,18 @@ class Suspected:
     share: float
     share_as_read: float
     sentence: str
+
+
+def suspicion(capture: Capture) -> str | None:
+    """A sentence where another convention fits the recording better by far, from some of its frames; else None.
+
+    Raises as `CapturedFrame.read`.
+    """
+    n = len(capture.frames)
+    chosen = np.unique(np.linspace(0, n - 1, min(n, MOST_FRAMES)).astype(int))
+    frames = (capture.frames[k].read() for k in chosen)
+    found = suspect(frames, blender_from_file=capture.blender_from_file, is_opencv=capture.is_opencv)
+    return None if found is None else found.sentence
 
 
 def suspect(

@@ -19,11 +19,13 @@ Gloss and vignetting are taken to be small. An exposure that a file does give (`
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from xihenet.camera import pixels_in_view, unproject_frame
+from xihenet.captures.capture import Capture
 from xihenet.captures.gain_graph import Pair, solve_gains
 from xihenet.captures.seen_again import away_from_edges, thinned
 from xihenet.colour import LINEAR_OF_CODE
@@ -176,6 +178,20 @@ def follow_drift(frames: Iterable[RgbdFrame]) -> Drift:
     for frame in frames:
         follower.add(frame)
     return follower.drift()
+
+
+def steadied(capture: Capture) -> tuple[Capture, Drift]:
+    """The recording with the drift of its exposure and white balance in `RgbdFrame.white_balance`, and that drift.
+
+    Every frame is read once for it. Raises as `CapturedFrame.read`.
+    """
+    drift = follow_drift(capture)
+    frames = [frame.changed(partial(_with, gains)) for frame, gains in zip(capture.frames, drift.gains, strict=True)]
+    return replace(capture, frames=frames), drift
+
+
+def _with(gains: ArrayF64, read: RgbdFrame) -> RgbdFrame:
+    return replace(read, white_balance=gains if read.white_balance is None else read.white_balance * gains)
 
 
 def _readable(frame: RgbdFrame) -> ArrayBool:
