@@ -196,16 +196,15 @@ class EdgeService:
 
     def _seen(self, session: Session, name: str, sent: CloudSent, wishes: Wishes) -> SeenPosition:
         """What is known of a position with this cloud, which is kept; merged again if another worker was faster."""
-        start, is_kept = time.perf_counter(), False
-        while not is_kept:
-            before = self.store.position(session.id, name)
-            # What does not fit its session, which only another hand can have put there, is replaced.
-            known = before if before is not None and _fits(before, session) else None
-            after = self._merged(known, sent, wishes)
-            with self.kept():
-                is_kept = self.store.put_position(session.id, name, after, before)
-        self.metrics.measure("xihe_stage_seconds", time.perf_counter() - start, stage="merge")
-        return after
+        with self.timed("merge"):
+            while True:
+                before = self.store.position(session.id, name)
+                # What does not fit its session, which only another hand can have put there, is replaced.
+                known = before if before is not None and _fits(before, session) else None
+                after = self._merged(known, sent, wishes)
+                with self.kept():
+                    if self.store.put_position(session.id, name, after, before):
+                        return after
 
     def _merged(self, before: SeenPosition | None, sent: CloudSent, wishes: Wishes) -> SeenPosition:
         if before is None:

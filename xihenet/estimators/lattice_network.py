@@ -30,7 +30,7 @@ every step runs along contiguous memory; directions, biases and what is not set 
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -368,13 +368,13 @@ def _linear(srgb: ArrayF32) -> ArrayF32:
 
 def _size(light: ArrayF32) -> ArrayF32:
     """(B,) root mean square of (B, 9, 3)."""
-    return cast(ArrayF32, np.sqrt(np.mean(np.square(light), axis=(1, 2))))
+    return np.sqrt(np.mean(np.square(light), axis=(1, 2)))
 
 
 def _logarithmic(size: ArrayF32, unit: ArrayF32) -> ArrayF32:
     """(B,) the share that counts of a light of that size, by its logarithm in units (B,) of another."""
     in_units = np.maximum(size / np.maximum(unit, SMALLEST_ERROR), SMALLEST_ERROR)
-    return cast(ArrayF32, np.log1p(in_units) / in_units)
+    return np.log1p(in_units) / in_units
 
 
 def _lit_level(linear: ArrayF32, unclipped: ArrayF32, level: ArrayF32) -> ArrayF32:

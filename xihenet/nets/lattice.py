@@ -199,7 +199,7 @@ class LatticeNet(nn.Module):  # type: ignore[misc]
         turned_back = self._constant("turned back", 0, code.device)[None, ..., None]
         spread = spread.gather(2, turned_back.expand(len(code), -1, -1, spread.shape[3])).mean(1)
         hidden = self.layer("decoder")(torch.cat([middle, spread, aside], 2))
-        return cast(Tensor, self.layer("radiance")(torch.relu(hidden)))
+        return self.layer("radiance")(torch.relu(hidden))
 
     def _constant(self, name: str, n: int, device: torch.device) -> Tensor:
         """A table as a tensor, kept per device; no part of the state. `n` is the number of anchors, 0 for no matter."""

@@ -53,7 +53,7 @@ class PointConvNet(nn.Module):  # type: ignore[misc]
         mean = (features * weight).sum(1) / weight.sum(1).clamp(min=1)
         largest = torch.where(known[..., None], features, -_FAR).amax(1)
         largest = torch.where(known.any(1, keepdim=True), largest, 0.0)
-        return cast(Tensor, self.head(torch.cat([mean, largest], 1))).reshape(-1, 9, 3)
+        return self.head(torch.cat([mean, largest], 1)).reshape(-1, 9, 3)
 
 
 class Neighbourhoods(NamedTuple):
@@ -121,7 +121,7 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
         first = _gather(of_points, near) - of_centroids[:, :, None]
         features = self.per_point[1:](first)
         weights = self.weights(relative) * _gather(share, near)
-        return cast(Tensor, self.combine(torch.matmul(features.transpose(2, 3), weights).flatten(2)))
+        return self.combine(torch.matmul(features.transpose(2, 3), weights).flatten(2))
 
 
 def farthest_points(points: Tensor, known: Tensor, n: int) -> tuple[Tensor, Tensor]:
