@@ -227,33 +227,24 @@ def test_working_scenes_are_gone_after_an_error():
     assert [s.name for s in bpy.data.scenes] == [scene.name]
 
 
-def test_the_material_override_of_a_view_layer_does_not_reach_the_phone():
-    scene = room_with_a_virtual_sphere()
-    plain = captured(scene)
-    scene.view_layers[0].material_override = material("Clay", (0.0, 0.0, 0.0))
-    np.testing.assert_array_equal(captured(scene).srgb_u8, plain.srgb_u8)
-
-
-def test_what_the_user_culls_because_it_is_far_away_or_out_of_view_lights_the_room():
+def test_what_the_users_own_renders_show_otherwise_does_not_reach_the_phone():
+    """An override of materials; what is culled because it is far away or out of view; text burnt in, no view layer."""
     scene = room_with_a_virtual_sphere()
     box(scene, "Behind the phone", (-1.9, -1.9, 1.6), (0.05, 0.05, 1.0), material("Glow", emission=20.0))
     plain = captured(scene)
+    scene.view_layers[0].material_override = material("Clay", (0.0, 0.0, 0.0))
+    np.testing.assert_array_equal(captured(scene).srgb_u8, plain.srgb_u8)
     scene.render.use_simplify = scene.cycles.use_camera_cull = scene.cycles.use_distance_cull = True
     scene.cycles.camera_cull_margin, scene.cycles.distance_cull_margin = 0.0, 0.1
     for item in scene.objects:
         item.cycles.use_camera_cull = item.cycles.use_distance_cull = True
     np.testing.assert_array_equal(captured(scene).srgb_u8, plain.srgb_u8)
-
-
-def test_text_burnt_into_renders_and_a_view_layer_that_is_not_rendered_do_not_reach_the_phone():
-    scene = room_with_a_virtual_sphere()
-    expected = captured(scene)
     scene.render.use_stamp = scene.render.use_stamp_date = scene.render.use_stamp_note = True
     scene.render.stamp_font_size, scene.render.stamp_background = 30, (1, 0, 0, 1)
     scene.view_layers[0].use = False
     frame = captured(scene)
-    np.testing.assert_array_equal(frame.srgb_u8, expected.srgb_u8)
-    np.testing.assert_array_equal(frame.plane_depth_m, expected.plane_depth_m)
+    np.testing.assert_array_equal(frame.srgb_u8, plain.srgb_u8)
+    np.testing.assert_array_equal(frame.plane_depth_m, plain.plane_depth_m)
     assert scene.render.use_stamp and not scene.view_layers[0].use
 
 
