@@ -71,7 +71,7 @@ def main() -> None:
     frames = tuple(range(scene.frame_start, scene.frame_end + 1, options.every))
     settings = PrevisSettings(preset="draft", light="sh+key", frames=frames)
     outputs, plan = RunOutputs(options.out, options.scene.stem), plan_previs(scene, settings)
-    survey = survey_run(scene, plan, outputs)
+    survey = run_blocking(survey_run(scene, plan, outputs))
     run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
     walked = run_blocking(walk_path(run))
     print(f"{len(plan.probes)} positions")

@@ -124,7 +124,7 @@ class Case:
         if prepare is not None:
             settings = replace(settings, frames=prepare(scene, plan_previs(scene, settings).probes[0]))
         plan, outputs = plan_previs(scene, settings), RunOutputs(out)
-        survey = survey_run(scene, plan, outputs)
+        survey = run_blocking(survey_run(scene, plan, outputs))
         with scene_kept():
             run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
             run_blocking(render_captures(run))

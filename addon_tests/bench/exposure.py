@@ -22,6 +22,7 @@ from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, meter_exposure, metered_frames, open_scanner, sized_for
 from xihe_blender.io.blender_output import only_our_output
+from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.plan import planned_frames
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
@@ -65,7 +66,7 @@ def row(file: Path) -> str:
             pictures.append(first_layer(render_passes(scanner.scene))[0])
     cells = [file.stem]
     for metering in reversed(METERINGS):
-        exposure = meter_exposure(scene, frames, metering=metering)
+        exposure = run_blocking(meter_exposure(scene, frames, metering=metering))
         clipped = " ".join(f"{100 * clipped_share(picture, exposure):.1f}" for picture in pictures)
         sphere, energy = light_above_white(scene, exposure)
         cells += [f"{exposure:.3g}", clipped, f"{100 * sphere:.1f}", f"{100 * energy:.0f}"]

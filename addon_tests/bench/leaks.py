@@ -23,6 +23,7 @@ from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_p
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.io.blender_output import only_our_output
+from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.rooms.views import RoomRays
 from xihe_blender.scene.blend_file import open_blend
 from xihenet import estimators
@@ -54,7 +55,7 @@ def observe(path: Path) -> dict[str, Any]:
     scene = open_blend(path)
     positions = positions_of(scene)
     frames = np.linspace(scene.frame_start, scene.frame_end, N_FRAMES).astype(int)
-    exposure = meter_exposure(scene, frames.tolist())
+    exposure = run_blocking(meter_exposure(scene, frames.tolist()))
     seen: dict[str, Any] = {"positions_m": positions, "frames": frames, "exposure": exposure}
     for size in SIZES:
         seen |= _frames(scene, frames, exposure, size)

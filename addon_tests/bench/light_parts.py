@@ -68,7 +68,9 @@ def walked_scene(file: Path, out: Path, settings: PrevisSettings) -> tuple[Prepa
     plan = plan_previs(scene, settings)
     outputs = RunOutputs(out, file.stem)
     run = run_blocking(
-        prepare_run(scene, plan, survey_run(scene, plan, outputs), outputs, settings, load_estimators(settings))
+        prepare_run(
+            scene, plan, run_blocking(survey_run(scene, plan, outputs)), outputs, settings, load_estimators(settings)
+        )
     )
     return run, run_blocking(walk_path(run))
 

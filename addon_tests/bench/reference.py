@@ -27,6 +27,7 @@ from xihe_blender.capture.reference_probe import open_reference_probe
 from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes
 from xihe_blender.capture.scanner import first_layer, meter_exposure, working_room
 from xihe_blender.io.blender_output import only_our_output
+from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.props.surfaces import Shader
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
@@ -137,7 +138,7 @@ def measure(path, options):
     open_blend(path)
     scene = bpy.context.scene
     places = positions_of(scene)[: options.places]
-    exposure = meter_exposure(scene, range(scene.frame_start, scene.frame_end + 1))
+    exposure = run_blocking(meter_exposure(scene, range(scene.frame_start, scene.frame_end + 1)))
     chosen = np.linspace(scene.frame_start, scene.frame_end, options.frames).round().astype(int).tolist()
     found = []
     for frame in chosen:

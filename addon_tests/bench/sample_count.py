@@ -29,6 +29,7 @@ from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.compare.methods import open_comparer
 from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.render_reuse import SceneState, each_its_own, plan_render_reuse
 from xihe_blender.previs.plan import PrevisPlan, plan_previs
@@ -73,9 +74,9 @@ def open_stage(settings: PrevisSettings, held: int) -> Stage:
     scene = open_blend(SCENE)
     stop_and_go(scene, held)
     plan = plan_previs(scene, settings)
-    survey = survey_path(scene, plan)
+    survey = run_blocking(survey_path(scene, plan))
     transport = cycles_settings(plan_effects(survey.required, {}))
-    return Stage(scene, plan, survey, settings, meter_exposure(scene, plan.frames), transport)
+    return Stage(scene, plan, survey, settings, run_blocking(meter_exposure(scene, plan.frames)), transport)
 
 
 def stop_and_go(scene: bpy.types.Scene, held: int) -> None:
@@ -129,8 +130,8 @@ def walk(stage: Stage, sample_count: SampleCount, states: Mapping[int, SceneStat
 def adaptive_walk(stage: Stage) -> tuple[Walked, SampleCount]:
     """As a run does it: `walk_s` holds survey, pilot and walk."""
     start = time.process_time()
-    survey = survey_path(stage.scene, stage.plan)
-    sample_count = measure_sample_count(*stage)
+    survey = run_blocking(survey_path(stage.scene, stage.plan))
+    sample_count = run_blocking(measure_sample_count(*stage))
     before_s = time.process_time() - start
     walked = walk(stage, sample_count, survey.states)
     return walked._replace(walk_s=before_s + walked.walk_s), sample_count

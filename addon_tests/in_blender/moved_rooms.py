@@ -14,6 +14,7 @@ from tiny_scenes import add_lamp, box, empty_scene, look_at, material, phone, se
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.jobs import run_blocking
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.backend import LocalBackend
 from xihenet.controller import ControllerSettings, XiheController
@@ -161,7 +162,7 @@ def see(placing=AS_IT_IS, *, seed=0, estimators=ESTIMATORS, is_open=False):
     """Build the room there, meter and capture its path, run the chain at the ball, and render the light probe."""
     scene = furnished_room(placing, is_open=is_open)
     position_m = placing(PROBE) * placing.metres_per_unit
-    exposure = meter_exposure(scene, range(1, len(EYES) + 1), seed, samples=METERING_SAMPLES)
+    exposure = run_blocking(meter_exposure(scene, range(1, len(EYES) + 1), seed, samples=METERING_SAMPLES))
     frames = []
     with open_scanner(scene, RenderSettings(SIZE, SAMPLES, seed, denoise=False)) as scanner:
         scanner.exposure = exposure

@@ -1,6 +1,7 @@
 """Small runs of the main job: a walk through the tiny room with all that a run has to cope with."""
 
 import contextlib
+import itertools
 from dataclasses import dataclass, replace
 
 import bpy
@@ -95,9 +96,15 @@ def finished_run(out, settings=SMALL, make_scene=walk):
 
 
 def run_some_steps(scene, out, n_steps, settings=SMALL):
-    """Start a run and stop it at its `n_steps`-th yield; True if it had ended by itself before."""
+    """Start a run and stop it when it tells of its `n_steps`-th step; True if it had ended by itself before."""
     with contextlib.closing(previs(scene, out, settings)) as job:
-        return sum(1 for _, _ in zip(range(n_steps), job, strict=False)) < n_steps
+        told = (progress for progress, _ in itertools.groupby(job))
+        return sum(1 for _, _ in zip(range(n_steps), told, strict=False)) < n_steps
+
+
+def survey(job):
+    """Drive `job` to the step after the survey of the path."""
+    next(progress for progress in job if progress.doing != "surveying the path")
 
 
 @contextlib.contextmanager

@@ -4,8 +4,10 @@ import json
 from dataclasses import asdict, replace
 
 import bpy
+import numpy as np
 import pytest
 from addon_runs import registered_addon, walk_for_the_panel
+from previs_runs import counted_renders
 from scene_snapshot import nothing_changes
 from tiny_scenes import look_at, room_with_a_virtual_sphere
 
@@ -33,6 +35,13 @@ def test_dearer_presets_take_no_less_and_the_scene_stays_as_it_is():
     for values in (list(found.frame_s.values()), list(found.samples.values())):
         assert values == sorted(values) and values[0] > 0
     assert found.step_ms > 0
+
+
+def test_it_can_be_stopped_after_each_capture():
+    scene = room_with_a_virtual_sphere()
+    with counted_renders() as renders:
+        captured = [renders.count("Xihe Capture") for _ in calibrate(scene, SMALL)]
+    assert max(np.diff(captured)) == 1 < captured[-1]
 
 
 def test_what_is_remembered_is_whole_and_says_its_sentence(tmp_path):

@@ -29,6 +29,7 @@ from xihe_blender.capture.cycles_device import DEVICE_VARIABLE
 from xihe_blender.capture.render import RenderSettings, render_scene, working_scene
 from xihe_blender.capture.scanner import METERING_SAMPLES, meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
+from xihe_blender.jobs import run_blocking
 from xihenet.camera import pixel_rays, unproject_frame
 from xihenet.phone.metering import KEY_LUMINANCE
 
@@ -180,25 +181,25 @@ def test_metering_brings_a_grey_world_to_the_key():
     scene = empty_scene()
     set_world(scene, (3.0, 3.0, 3.0))
     phone(scene, (0, 0, 1), (0, 1, 1))
-    assert meter_exposure(scene, [1, 2, 3]) == pytest.approx(KEY_LUMINANCE / 3, rel=1e-3)
+    assert run_blocking(meter_exposure(scene, [1, 2, 3])) == pytest.approx(KEY_LUMINANCE / 3, rel=1e-3)
 
 
 def test_highlights_in_view_are_protected():
     scene = room_with_a_virtual_sphere(1)
     box(scene, "Panel", (0, 0.3, 0.9), (0.3, 0.02, 0.3), material("Panel", (1, 1, 1), 3.0))
     with open_scanner(scene, SMALL) as scanner:
-        scanner.exposure = meter_exposure(scene, [1], samples=METERING_SAMPLES)
+        scanner.exposure = run_blocking(meter_exposure(scene, [1], samples=METERING_SAMPLES))
         scanner.move_to(1)
         frame = scanner.acquire_environment_scan()
-    assert scanner.exposure < meter_exposure(scene, [1], metering="key", samples=METERING_SAMPLES)
+    assert scanner.exposure < run_blocking(meter_exposure(scene, [1], metering="key", samples=METERING_SAMPLES))
     assert (frame.srgb_u8 == 255).any(axis=-1).mean() <= 0.02
 
 
 def test_a_lamp_that_is_off_at_first_does_not_blow_out_the_rest():
     scene = room_with_a_virtual_sphere()
-    always = meter_exposure(scene, [1, 2, 3])
+    always = run_blocking(meter_exposure(scene, [1, 2, 3]))
     key(light_strength(), "default_value", {1: 0.0, 2: 6.0, 3: 6.0})
-    assert always < meter_exposure(scene, [1, 2, 3]) < 15 * always
+    assert always < run_blocking(meter_exposure(scene, [1, 2, 3])) < 15 * always
 
 
 @pytest.mark.parametrize(("chosen", "device"), [("cpu", "CPU"), ("", "GPU")])

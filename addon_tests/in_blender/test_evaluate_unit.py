@@ -7,7 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from previs_runs import N_FRAMES, counted_renders, files_below, run, walk
+from previs_runs import N_FRAMES, counted_renders, files_below, run, survey, walk
 from tiny_scenes import saved
 
 from xihe_blender.apply.datablocks import LIT_SCENE
@@ -130,7 +130,7 @@ def test_renders_that_a_stopped_unit_made_from_other_files_go(tmp_path, file, re
     write_json(outputs.settings, as_json(read))
     write_json(outputs.exposure, {})
     with contextlib.closing(unit_of(file, outputs.folder)) as job:
-        next(job)
+        survey(job)
     assert outputs.exposure.exists() == is_kept and from_json(FilesRead, read_json(outputs.settings)) == FilesRead()
 
 

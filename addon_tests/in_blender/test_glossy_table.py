@@ -9,6 +9,7 @@ from tiny_scenes import box, empty_scene, key, look_at, material, phone, set_wor
 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
+from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.settings import PREVIS_TRIGGER
 from xihenet import estimators
 from xihenet.backend import LocalBackend
@@ -42,7 +43,7 @@ def glossy_table(dims):
 def captures(dims):
     scene = glossy_table(dims)
     with open_scanner(scene, RenderSettings((48, 36), samples=8)) as scanner:
-        scanner.exposure = meter_exposure(scene, [1, 2])
+        scanner.exposure = run_blocking(meter_exposure(scene, [1, 2]))
         for frame in range(1, N_FRAMES + 1):
             scanner.move_to(frame)
             yield scanner.acquire_environment_scan()

@@ -192,7 +192,7 @@ def test_key_light_of_truth_points_at_the_lamp_that_nobody_looked_at(tmp_path, l
     phone(scene, (-0.5, -1.5, 1.2), (0, 0, 1.0))
     settings = SmallProbes(frames=(1,), size=(32, 24), samples=4, preset="draft", light=light)
     outputs, plan = RunOutputs(tmp_path, "room"), plan_previs(scene, settings)
-    survey = survey_run(scene, plan, outputs)
+    survey = run_blocking(survey_run(scene, plan, outputs))
     run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
     key = run_blocking(walk_path(run)).lights[1]["truth"]["Ball"].key
     towards = (at - np.array(ball.location)) / np.linalg.norm(at - np.array(ball.location))

@@ -22,7 +22,7 @@ FIRST, ELSEWHERE = np.array([0, 0, 0.85]), np.array([-1.0, 0.3, 0.5])
 
 def followed(scene):
     plan = plan_previs(scene, SMALL)
-    survey = survey_path(scene, plan)
+    survey = run_blocking(survey_path(scene, plan))
     kept = from_json(SceneSurvey, json.loads(json.dumps(as_json(survey))))
     assert [one.moved for one in kept.frames.values()] == [one.moved for one in survey.frames.values()]
     return survey.followed(plan)

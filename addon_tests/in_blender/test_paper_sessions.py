@@ -6,7 +6,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from previs_runs import walk
+from previs_runs import survey, walk
 from tiny_scenes import saved, set_world
 
 from xihe_blender.capture.scanner import phone_camera
@@ -39,7 +39,7 @@ def test_a_session_of_a_room_whose_pictures_have_changed_since_is_refused(tmp_pa
     set_world(scene).node_tree.nodes.new("ShaderNodeTexEnvironment").image = bpy.data.images.load(str(picture))
     file, folder = saved(tmp_path / "walk.blend"), tmp_path / "session"
     begun = recorded_session(file, folder, of_walk, 0)
-    next(begun)
+    survey(begun)
     begun.close()
     check_session(file, folder, of_walk, 0)
     picture.write_bytes(b"two")

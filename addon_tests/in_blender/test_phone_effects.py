@@ -53,14 +53,14 @@ def planned(scene, out, settings):
     files = RunOutputs(out, "untitled")
     settings = replace(settings, size=(32, 24), samples=2, exposure=1.0)
     plan = plan_previs(scene, settings)
-    survey, estimator = survey_path(scene, plan), load_estimators(settings)
+    survey, estimator = run_blocking(survey_path(scene, plan)), load_estimators(settings)
     run = run_blocking(prepare_run(scene, plan, survey, files, settings, estimator))
     return run_blocking(walk_path(run)).phone, load_frame(files.capture(plan.frames[0])), files
 
 
 def before_captures(scene, settings):
     """The phone as the survey of the path alone has it."""
-    survey = survey_path(scene, plan_previs(scene, settings))
+    survey = run_blocking(survey_path(scene, plan_previs(scene, settings)))
     return simulate_phone(choose_phone(scene, survey, settings), {}, exposure=1.0)
 
 

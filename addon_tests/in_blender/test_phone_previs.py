@@ -12,6 +12,7 @@ from tiny_scenes import room_with_a_virtual_sphere
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.settings import load_estimators
 from xihe_blender.previs.simulated_phone import choose_phone, simulate_phone
@@ -117,7 +118,7 @@ def test_another_seed_is_another_phone(ipad):
     scene = walk()
     seen = []
     for frame, chosen in zip(frames, (IPAD, settings), strict=True):
-        survey = survey_path(scene, plan_previs(scene, chosen))
+        survey = run_blocking(survey_path(scene, plan_previs(scene, chosen)))
         phone = simulate_phone(choose_phone(scene, survey, chosen), {}, frame.exposure)
         seen.append(replace(phone, of_camera=frozenset({"noise"})).see(frame, ipad.outputs)[0].plane_depth_m)
     assert not np.array_equal(*seen)

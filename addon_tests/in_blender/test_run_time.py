@@ -1,10 +1,12 @@
 """How long a run will take: measured on a few renders, in proportion to its frames, and said in one sentence."""
 
 import contextlib
+import itertools
+from collections import Counter
 from dataclasses import replace
 
 import pytest
-from previs_runs import SMALL, walk
+from previs_runs import SMALL, counted_renders, walk
 from scene_snapshot import nothing_changes
 
 from xihe_blender.capture.all_around import N_VIEWS
@@ -25,6 +27,17 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene():
     # Nothing changes in this room: a look from each object and a ball serve for all frames.
     n_probes, looks = 3, (2 + 3) * N_VIEWS * 24 / 32
     assert few.budget_renders == {"capture": N_SEEDS * (2 + looks), "probe": N_SEEDS * n_probes}
+
+
+@pytest.mark.slow
+def test_it_can_be_stopped_after_each_frame_of_the_survey_and_each_capture():
+    scene = walk()
+    with counted_renders() as renders:
+        n_done = [Counter(renders) for _ in run_time_job(scene, replace(SMALL, frames=(1, 2, 3)))]
+    steps = [after - before for before, after in itertools.pairwise(n_done)]
+    captured = [step["Xihe Capture"] for step in steps]
+    assert max(captured) == 1 < sum(captured)
+    assert [step["Xihe Effects"] for step in steps][:3] == [1, 1, 1]
 
 
 @pytest.mark.slow

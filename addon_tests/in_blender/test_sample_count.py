@@ -14,6 +14,7 @@ from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import NOISE_MARGIN, above_noise
 from xihe_blender.previs.sample_count import (
@@ -55,7 +56,7 @@ def still_walk():
 
 def surveyed(scene, settings):
     plan = plan_previs(scene, settings)
-    return plan, survey_path(scene, plan)
+    return plan, run_blocking(survey_path(scene, plan))
 
 
 def one_thread(scene):
@@ -127,7 +128,7 @@ def test_the_noise_is_what_was_expected_and_within_the_target():
     look_at(scene.camera, (-1.2, -1.5, 1.5), (0, 0, 0.85))
     settings = PrevisSettings(preset="draft", size=(32, 24), exposure=1.0, noise_target=0.05)
     plan, survey = surveyed(scene, settings)
-    sample_count = measure_sample_count(scene, plan, survey, settings, 1.0)
+    sample_count = run_blocking(measure_sample_count(scene, plan, survey, settings, 1.0))
     lights = lights_in(scene, plan, settings, 8, sample_count.capture_samples, range(100, 106))
     reference = lights_in(scene, plan, settings, 8, 64, range(200, 202)).mean(axis=0)
     assert sample_count.capture_noise <= 0.05
@@ -141,7 +142,9 @@ def test_a_tighter_target_takes_more_samples_of_a_scene():
     plan, survey = surveyed(scene, settings)
 
     def measured(noise_target):
-        return measure_sample_count(scene, plan, survey, replace(settings, noise_target=noise_target), 1.0)
+        return run_blocking(
+            measure_sample_count(scene, plan, survey, replace(settings, noise_target=noise_target), 1.0)
+        )
 
     sample_counts = [measured(noise_target) for noise_target in (0.3, 0.08, 0.04, 0.0001)]
     samples = [sample_count.capture_samples for sample_count in sample_counts]
@@ -156,7 +159,7 @@ def test_a_number_of_samples_is_taken_as_it_is_without_a_pilot():
     settings = replace(SMALL, samples=7, exposure=1.0)
     plan, survey = surveyed(scene, settings)
     with counted_renders() as renders:
-        assert measure_sample_count(scene, plan, survey, settings, 1.0) == SampleCount(7)
+        assert run_blocking(measure_sample_count(scene, plan, survey, settings, 1.0)) == SampleCount(7)
     assert not renders
 
 
@@ -167,7 +170,7 @@ def test_a_path_that_sees_no_position_needs_no_pilot():
     plan, survey = surveyed(scene, SMALL)
     maximum = PRESETS[SMALL.preset].max_samples
     with counted_renders() as renders:
-        assert measure_sample_count(scene, plan, survey, SMALL, 1.0) == SampleCount(maximum)
+        assert run_blocking(measure_sample_count(scene, plan, survey, SMALL, 1.0)) == SampleCount(maximum)
     assert not renders
 
 
@@ -283,7 +286,7 @@ def test_what_a_preset_takes_at_least_lies_within_what_its_pilot_measures():
 def test_noise_that_the_pilot_knows_does_not_fire(n_samples):
     scene, position_m, lattice = room_with_a_virtual_sphere(1), np.array([0, 0, 0.85]), AnchorLattice(1280)
     pilot = RenderSettings((48, 36), 1, denoise=False)
-    _, change = measure_captures(scene, [(1, [position_m])], pilot, 1.0, 1280, PREVIS_TRIGGER)
+    _, change = run_blocking(measure_captures(scene, [(1, [position_m])], pilot, 1.0, 1280, PREVIS_TRIGGER))
     frames = (captured(scene, (48, 36), n_samples, seed) for seed in (900, 901))
     first, second = (sample_unit_sphere(unproject_frame(frame), position_m, lattice) for frame in frames)
     assert decide_trigger(first, second, lattice, PREVIS_TRIGGER).reason == "colour"

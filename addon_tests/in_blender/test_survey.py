@@ -26,7 +26,7 @@ N_FRAMES = 12
 
 
 def surveyed(scene, settings=SMALL):
-    return survey_path(scene, plan_previs(scene, settings))
+    return run_blocking(survey_path(scene, plan_previs(scene, settings)))
 
 
 @contextlib.contextmanager
@@ -60,7 +60,7 @@ def test_a_run_steps_through_the_frames_at_most_twice_before_its_first_capture(s
 def test_the_survey_notes_what_a_look_at_each_frame_gives():
     scene = walk()
     plan = plan_previs(scene, SMALL)
-    survey, positions = survey_path(scene, plan), [probe.position_m.tolist() for probe in plan.probes]
+    survey, positions = run_blocking(survey_path(scene, plan)), [probe.position_m.tolist() for probe in plan.probes]
     names = ("Ball", "Board 1", "Board 2")
     assert list(survey.frames) == [1, 2, 3, 4, 5]
     assert survey.frames[LOOKS_AWAY].in_view == () and set(survey.in_view) == {1, 2, 4, 5}

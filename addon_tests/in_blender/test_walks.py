@@ -202,7 +202,7 @@ def test_a_scene_is_stored_as_its_camera_path_saw_it(tmp_path):
     assert path == room_path(tmp_path, 0)
     assert (room.kind, room.regime) == ("tiny", SCENE_REGIME)
     assert room.seed.tolist() == [SCENE_SEED, zlib.crc32(b"tiny")]
-    assert room.exposure == meter_exposure(scene, [1, 2])
+    assert room.exposure == run_blocking(meter_exposure(scene, [1, 2]))
     np.testing.assert_allclose(room.positions_m, [[0, 0, 0.85]], atol=1e-6)
     assert room.balls.shape == (1, 8, 8, 3)
     for frame, pose in enumerate(room.world_from_camera, start=1):

@@ -12,7 +12,7 @@ Paper: section 5, `EnvironmentScanner`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import bpy
@@ -165,12 +165,13 @@ def meter_exposure(
     *,
     metering: Metering = "highlights",
     samples: int = METERING_SAMPLES,
-) -> float:
-    """The session's exposure, metered over `metered_frames` of the path; see `metered_exposure`."""
+) -> Generator[None, None, float]:
+    """The session's exposure, metered over `metered_frames` of the path, a step each; see `metered_exposure`."""
     settings = RenderSettings((64, 48), samples, seed, denoise=False)
     pictures = []
     with open_scanner(scene, settings) as scanner:
         for frame in metered_frames(frames):
+            yield
             scanner.move_to(frame)
             pictures.append(first_layer(render_passes(scanner.scene))[0])
     return metered_exposure(pictures, metering)

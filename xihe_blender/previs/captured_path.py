@@ -92,7 +92,7 @@ def capture_path(
     content = made_of(work, scene, blend_file, settings, plan)
     manifest = FolderManifest(out, outputs.settings, work, content, (out / "report.html",))
     manifest.check()
-    survey = survey_run(scene, plan, outputs)
+    survey = yield from survey_run(scene, plan, outputs)
     held.enter_context(manifest.held())
     run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
     yield from walk_path(run, keeps_session=True)

@@ -25,7 +25,7 @@ at it or worse; what that is worth is told by `least_squares_error`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,7 +38,7 @@ from xihe_blender.io.budget_results import PARTS, BudgetResults, ObjectBudget
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import RunOutputs, write_json
-from xihe_blender.jobs import Job, Progress, part_of
+from xihe_blender.jobs import Job, Progress, part_of, shown
 from xihe_blender.previs.budget_chain import (
     EVERY_FRAME,
     LightInUse,
@@ -130,7 +130,7 @@ def error_budget(
     manifest = FolderManifest(out, outputs.settings, BUDGET, content, (out / "report.html",))
     manifest.check()
     yield Progress(0, 1, "surveying the path")
-    survey = survey_run(scene, plan, outputs)
+    survey = yield from survey_run(scene, plan, outputs)
     if not any(one.in_view for one in survey.frames.values()):
         raise UserError("no virtual object is in view of the camera in any frame: move the camera, or an object")
     with manifest.held(), scene_kept():
@@ -171,8 +171,11 @@ def _with_one_seed(run: PreparedRun, moments: Moments) -> Job[dict[str, SeedErro
     budget = _Budget(run, moments)
     yield from part_of(1, CAPTURE_SHARE, LOOK_SHARE, look_around(run, budget.places()))
     yield from part_of(1, CAPTURE_SHARE + LOOK_SHARE, BALL_SHARE, measure_balls(run, budget.balls()))
-    yield Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
-    errors = {item.name: budget.of_object(item.name) for item in run.plan.objects}
+    step = Progress(CAPTURE_SHARE + LOOK_SHARE + BALL_SHARE, 1, "running the chain with each part perfect")
+    yield step
+    errors = {}
+    for item in run.plan.objects:
+        errors[item.name] = yield from shown(budget.of_object(item.name), lambda _: step)
     return {name: one for name, one in errors.items() if one is not None}
 
 
@@ -246,9 +249,11 @@ class _Budget:
         )
         return next(same, frame)
 
-    def of_object(self, name: str) -> SeedErrors | None:
+    def of_object(self, name: str) -> Generator[None, None, SeedErrors | None]:
         """The errors of one object: root mean squares over its positions and moments. None if it is never in view."""
-        moments = [one for probe in self.run.plan.probes_of(name) for one in self._of_position(probe)]
+        moments: list[_Moment] = []
+        for probe in self.run.plan.probes_of(name):
+            moments += yield from self._of_position(probe)
         if not moments:
             return None
         simulated = [part for part in PARTS if part == "order_2" or part in moments[0].lights]
@@ -259,18 +264,24 @@ class _Budget:
             with_perfect={part: _root_mean(one.squared_error(part) for one in moments) for part in simulated},
         )
 
-    def _of_position(self, probe: Probe) -> Iterator[_Moment]:
+    def _of_position(self, probe: Probe) -> Generator[None, None, list[_Moment]]:
+        moments: list[_Moment] = []
         if not self.moments[probe.name]:
-            return
-        sessions = {part: self._lights(probe, parts) for part, parts in self._sessions(probe).items()}
+            return moments
+        sessions = {}
+        for part, parts in self._sessions(probe).items():
+            yield
+            sessions[part] = self._lights(probe, parts)
         projection = estimators.load("projection", self.run.settings.n_anchors, "hdr")
         least_squares = self._lights(probe, replace(self.as_it_was, estimator=projection))
         for frame in self.moments[probe.name]:
+            yield
             source = self._source(frame, probe)
             ball = kept_ball(self.run, source, probe)
             lights = {"": self.lights[probe.name][frame].sh} | {part: one[frame].sh for part, one in sessions.items()}
             lights |= self._corrected(lights[""], ball, kept_views(self.run, place_of(self.run, probe), source))
-            yield _Moment(ball, lights, least_squares[frame].sh)
+            moments.append(_Moment(ball, lights, least_squares[frame].sh))
+        return moments
 
     def _sessions(self, probe: Probe) -> dict[str, SessionParts]:
         """The session with each part perfect that a session can have."""

@@ -18,10 +18,10 @@ from xihe_blender.apply.reflection_pictures import light_called_for
 from xihe_blender.capture.reference_probe import ProbeSettings, ReferenceProbe, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
-from xihe_blender.io.json_records import Json, as_json, from_json
-from xihe_blender.io.kept_files import kept_or_made, kept_record
+from xihe_blender.io.json_records import Json, as_json
+from xihe_blender.io.kept_files import kept_json, kept_or_made, kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.light_transport.render_reuse import RenderReuse, each_its_own, plan_render_reuse
@@ -132,14 +132,14 @@ class PreparedRun:
         return replace(self.settings.comparison(self.plan.size), light_transport=cycles_settings(self.effects))
 
 
-def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> SceneSurvey:
-    """The survey that an earlier part of this run has left in `outputs`, or a new one, which is not written there."""
+def survey_run(scene: bpy.types.Scene, plan: PrevisPlan, outputs: RunOutputs) -> Job[SceneSurvey]:
+    """A job: the survey that an earlier part of this run has left in `outputs`, or a new one, not written there."""
     kept = kept_record(SceneSurvey, outputs.survey)
     if kept is not None and tuple(kept.frames) == tuple(plan.frames):
         return kept
     if outputs.survey.exists():
         outputs.survey.unlink()
-    return survey_path(scene, plan)
+    return (yield from survey_path(scene, plan))
 
 
 def prepare_run(
@@ -157,25 +157,23 @@ def prepare_run(
     if not outputs.survey.exists():
         write_json(outputs.survey, as_json(survey))
     plan = survey.followed(plan)
-    yield Progress(0, 1, "metering the exposure")
-    exposure = settings.exposure or kept_or_made(
-        outputs.exposure,
-        positive_exposure,
-        lambda: {"exposure": meter_exposure(scene, plan.frames, settings.seed, metering=settings.metering_in_force)},
-    )
+    exposure = settings.exposure or kept_json(outputs.exposure, positive_exposure)
+    if exposure is None:
+        metering = meter_exposure(scene, plan.frames, settings.seed, metering=settings.metering_in_force)
+        exposure = yield from shown(metering, lambda _: Progress(0, 1, "metering the exposure"))
+        write_json(outputs.exposure, {"exposure": exposure})
     choices = overrides_in_force(scene, settings.effect_choices)
     effects = kept_or_made(
         outputs.effects,
         lambda content: effects_kept(survey, content),
         lambda: effects_as_json(plan_effects(survey.required, choices)),
     )
-    yield Progress(0, 1, "measuring how many samples it takes")
     transport = cycles_settings(effects)
-    count = kept_or_made(
-        outputs.sample_count,
-        lambda content: from_json(SampleCount, content),
-        lambda: as_json(measure_sample_count(scene, plan, survey, settings, exposure, transport)),
-    )
+    count = kept_record(SampleCount, outputs.sample_count)
+    if count is None:
+        measuring = measure_sample_count(scene, plan, survey, settings, exposure, transport)
+        count = yield from shown(measuring, lambda _: Progress(0, 1, "measuring how many samples it takes"))
+        write_json(outputs.sample_count, as_json(count))
     light = light_called_for(plan.objects) if settings.light == "auto" else settings.light
     settings = replace(settings, light=light, trigger=above_noise(settings.trigger_in_use, count.capture_change))
     phone = choose_phone(scene, survey, settings)

@@ -77,7 +77,7 @@ def previs(
         yield Progress(1, 1, f"this run is already done; delete {out} to do it again")
         return as_json(finished)
     yield Progress(0, 1, "surveying the path")
-    survey = survey_run(scene, plan, outputs)
+    survey = yield from survey_run(scene, plan, outputs)
     # Not before: a scene that cannot be run leaves no folder.
     with manifest.held():
         with scene_kept():

@@ -82,7 +82,7 @@ def record_session(
     outputs = RunOutputs(out, blend_file.stem)
     manifest = _manifest(scene, outputs, settings, plan, wishes.layout, blend_file)
     manifest.check()
-    survey = survey_run(scene, plan, outputs)
+    survey = yield from survey_run(scene, plan, outputs)
     with manifest.held(), scene_kept():
         run = yield from prepare_run(scene, plan, survey, outputs, settings, ())
         yield from render_captures(run)

@@ -104,7 +104,7 @@ def plan_phone_effects(
     probes = tuple(Probe(str(k), "", np.array(position)) for k, position in enumerate(positions))
     plan = PrevisPlan(tuple(planned_frames(scene, settings.frames)), size, (), probes)
     with scene_kept():
-        survey = survey_path(scene, plan)
+        survey = yield from survey_path(scene, plan)
         phone = choose_phone(scene, survey, settings)
         facts: dict[int, CaptureFacts] = {}
         if is_captured and phone.sees:

@@ -12,12 +12,14 @@ second Blender, some seconds.
 
 from __future__ import annotations
 
+import contextlib
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
+from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -27,7 +29,7 @@ from xihe_blender.capture.reference_probe import FEWEST_SAMPLES, ProbeSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import GroundTruth, open_comparer
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.previs.budget_seeds import N_SEEDS
 from xihe_blender.previs.error_budget import MOST_LOOKS, N_MOMENTS
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
@@ -39,6 +41,10 @@ from xihenet.formats import format_duration
 from xihenet.light.reflections import N_DIRECTIONS
 from xihenet.records import ObjectLight, Reflections, RgbdFrame
 from xihenet.walk.placement import evenly_chosen
+
+Made = TypeVar("Made")
+Steps = Generator[None, None, Made]
+"""What can be left between two renders."""
 
 FEW_SAMPLES = 4
 LONGEST_S = 4.0
@@ -95,16 +101,29 @@ def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTim
     check_is_rendered(scene)
     # Nothing is estimated: an edge server is neither asked nor left with a session.
     plan, loaded = plan_previs(scene, settings), load_estimators(replace(settings, backend=None))
-    start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():
-        survey, outputs = survey_path(scene, plan), RunOutputs(Path(folder), "scene")
-        run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
-        return (yield from _measured(run, time.perf_counter() - start))
+        outputs = RunOutputs(Path(folder), "scene")
+        survey, surveyed_s = yield from _timed(survey_path(scene, plan))
+        run, prepared_s = yield from _timed(prepare_run(scene, plan, survey, outputs, settings, loaded))
+        return (yield from _measured(run, surveyed_s + prepared_s))
+
+
+def _timed(job: Job[Made]) -> Job[tuple[Made, float]]:
+    """A job: the result of `job`, and the seconds that it worked; between its steps a window waits for its user."""
+    spent_s = 0.0
+    with contextlib.closing(job):
+        while True:
+            start = time.perf_counter()
+            try:
+                progress = next(job)
+            except StopIteration as finished:
+                return finished.value, spent_s + time.perf_counter() - start
+            spent_s += time.perf_counter() - start
+            yield progress
 
 
 def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     """The run's time, from a few renders of each kind, spread over the frames in which a position is in view."""
-    yield Progress(1, 4, "measuring a capture")
     active = list(run.reuse.captures)
     if not active:
         return RunTime(prepared_s, {})
@@ -117,11 +136,11 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
             scanner.move_to(frame)
             captured[frame] = scanner.acquire_environment_scan()
 
-        capture_loaded_s, capture = time_renders(capture_at, frames, run.capture.samples, scanner.scene)
-    yield Progress(2, 4, "measuring a light probe")
-    probe_loaded_s, probe = _timed_probe(run)
-    yield Progress(3, 4, "measuring a comparison")
-    comparison_loaded_s, comparison = _timed_comparison(run, frames, captured)
+        timing = time_renders(capture_at, frames, run.capture.samples, scanner.scene)
+        capture_loaded_s, capture = yield from shown(timing, lambda _: Progress(1, 4, "measuring a capture"))
+    probe_loaded_s, probe = yield from shown(_timed_probe(run), lambda _: Progress(2, 4, "measuring a light probe"))
+    comparing = _timed_comparison(run, frames, captured)
+    comparison_loaded_s, comparison = yield from shown(comparing, lambda _: Progress(3, 4, "measuring a comparison"))
     n_captures = sum(source == frame for frame, source in run.reuse.captures.items())
     n_probes = sum(source == frame for (frame, _), source in run.reuse.probes.items())
     n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
@@ -138,7 +157,7 @@ def _budget_renders(run: PreparedRun, n_captures: int) -> dict[str, float]:
     return {"capture": N_SEEDS * (n_captures + looks), "probe": N_SEEDS * n_probes * min(N_MOMENTS, n_states)}
 
 
-def _timed_probe(run: PreparedRun) -> tuple[float, RenderTime]:
+def _timed_probe(run: PreparedRun) -> Steps[tuple[float, RenderTime]]:
     """Of one reference light as a run measures it: the mean over a few, which may differ by four times and more.
 
     Each is measured with few pictures, whose noise says how many a run will take.
@@ -148,6 +167,7 @@ def _timed_probe(run: PreparedRun) -> tuple[float, RenderTime]:
     if not rendered:  # No position is ever in view.
         return 0.0, RenderTime(0.0, 0.0, 0)
     times_s, counts = [], []
+    yield
     with run.open_probes(run.plan.probes) as reference_probe:
         few = min(FEWEST_SAMPLES, run.reference.max_samples)
         reference_probe.settings = replace(run.reference, max_samples=few)
@@ -155,6 +175,7 @@ def _timed_probe(run: PreparedRun) -> tuple[float, RenderTime]:
         reference_probe.view(0, 0)
         loaded_s = time.perf_counter() - start
         for frame, name in evenly_chosen(rendered, N_RENDERS):
+            yield
             index, probe = probes[name]
             reference_probe.move(index, probe.at(frame))
             light = reference_probe.light_at(index, frame, run.exposure).measured
@@ -176,7 +197,7 @@ def pictures_needed(n_taken: int, noise: float | None, settings: ProbeSettings) 
 
 def _timed_comparison(
     run: PreparedRun, frames: Sequence[int], captured: Mapping[int, RgbdFrame]
-) -> tuple[float, RenderTime]:
+) -> Steps[tuple[float, RenderTime]]:
     """Under no light at all, which takes Cycles as long as any; reflected, if that is what a run's lights are."""
     picture = Reflections(np.zeros((N_DIRECTIONS, 3), np.float32), 0.0) if run.settings.has_reflections else None
     nothing = ObjectLight(np.zeros((9, 3)), reflections=picture)
@@ -191,8 +212,8 @@ def _timed_comparison(
 
         samples = run.comparison.samples
         # One after the other, as in a run: by turns Cycles would build the scenes anew for each render.
-        traced_loaded_s, traced = time_renders(trace, frames, samples, comparer.ground_truth)
-        lit_loaded_s, lit = time_renders(
+        traced_loaded_s, traced = yield from time_renders(trace, frames, samples, comparer.ground_truth)
+        lit_loaded_s, lit = yield from time_renders(
             lambda frame: comparer.render_methods(captured[frame], dark, truth[frame]), frames, samples, comparer.lit
         )
     both = RenderTime(traced.fixed_s + lit.fixed_s, traced.per_sample_s + lit.per_sample_s, samples)
@@ -201,23 +222,27 @@ def _timed_comparison(
 
 def time_renders(
     render: Callable[[int], object], frames: Sequence[int], samples: int, scene: bpy.types.Scene
-) -> tuple[float, RenderTime]:
+) -> Steps[tuple[float, RenderTime]]:
     """Seconds that the first render takes longer than the second, and the time of a render of `scene` with `samples`.
 
-    Each is of another frame, as in a run: what moves has to be loaded again.
+    Each is a step, and of another frame, as in a run: what moves has to be loaded again.
     """
 
-    def seconds(frame: int, n_samples: int) -> float:
+    def seconds(frame: int, n_samples: int) -> Steps[float]:
+        yield
         scene.cycles.samples = n_samples
         start = time.perf_counter()
         render(frame)
         return time.perf_counter() - start
 
     few = min(FEW_SAMPLES, samples)
-    first_s, one_s, few_s = (seconds(*each) for each in zip(frames, (1, 1, few), strict=True))
+    times_s = []
+    for frame, n_samples in zip(frames, (1, 1, few), strict=True):
+        times_s.append((yield from seconds(frame, n_samples)))
+    first_s, one_s, few_s = times_s
     per_sample_s = _slope(one_s, few_s, few)
     if few < samples and one_s + per_sample_s * (samples - 1) <= LONGEST_S:
-        per_sample_s = _slope(one_s, seconds(frames[0], samples), samples)
+        per_sample_s = _slope(one_s, (yield from seconds(frames[0], samples)), samples)
     return max(0.0, first_s - one_s), RenderTime(max(0.0, one_s - per_sample_s), per_sample_s, samples)
 
 

@@ -37,6 +37,7 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import Preset, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
@@ -142,8 +143,8 @@ def measure_sample_count(
     settings: PrevisSettings,
     exposure: float,
     light_transport: tuple[tuple[str, bool | int], ...] = (),
-) -> SampleCount:
-    """The samples that reach `settings.noise_target` in captures of a run on `scene`.
+) -> Job[SampleCount]:
+    """A job: the samples that reach `settings.noise_target` in captures of a run on `scene`.
 
     With `settings.samples` these, and nothing is rendered. The same goes for a path that never sees a position: it
     gets the maximum. The same seed gives the same numbers.
@@ -156,7 +157,8 @@ def measure_sample_count(
         return SampleCount(preset.max_samples)
     n_small = pilot_samples(preset)
     capture = replace(settings.capture(plan.size, n_small), light_transport=light_transport)
-    noise, change = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger_in_use)
+    measuring = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger_in_use)
+    noise, change = yield from measuring
     n_samples = samples_taken(preset, noise, settings.noise_aim)
     elapsed_s = time.perf_counter() - start
     return SampleCount(n_samples, noise.noise(n_samples), elapsed_s, change * min(1.0, n_small / n_samples))
@@ -191,8 +193,8 @@ def measure_captures(
     exposure: float,
     n_anchors: int,
     trigger: TriggerSettings,
-) -> tuple[NoiseModel, float]:
-    """The noise model of captures, and the colour change that `trigger` sees in noise with `settings.samples` samples.
+) -> Job[tuple[NoiseModel, float]]:
+    """A job: the noise model of captures, and what change of colour `trigger` sees in noise with `settings.samples`.
 
     That change is the largest, over views and positions, of what two renders of one view with different seeds have. It
     is a square of differences, so it falls as the variance does, as 1/samples.
@@ -206,8 +208,10 @@ def measure_captures(
             scanner.move_to(frame)
             seen = []
             for index, n_samples in enumerate(steps):
+                done = len(steps) * number + index
+                yield Progress(done, len(steps) * len(views), "measuring the noise of a few samples")
                 # By seeds that neither the walk nor another pilot uses.
-                seed = (settings.seed + 1 + len(steps) * number + index) % MAX_SEED
+                seed = (settings.seed + 1 + done) % MAX_SEED
                 scanner.scene.cycles.samples, scanner.scene.cycles.seed = n_samples, seed
                 cloud = unproject_frame(scanner.acquire_environment_scan())
                 seen.append([sample_unit_sphere(cloud, position_m, lattice) for position_m in positions])

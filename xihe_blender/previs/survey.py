@@ -112,8 +112,8 @@ class _CameraView:
     time_s: float
 
 
-def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
-    """Step through the frames of `plan` once; `scene` stays as it is.
+def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> Job[SceneSurvey]:
+    """A job: step through the frames of `plan` once; `scene` stays as it is.
 
     UserError for a frame without a phone's camera, or with numbers that Cycles leaves out.
     """
@@ -126,6 +126,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> SceneSurvey:
     settings = RenderSettings(plan.size, samples=1)
     with open_inspection(scene) as inspection, working_scene(scene, "Xihe Survey", settings) as working:
         for frame in sorted(visited):
+            yield Progress(0, 1, "surveying the path")
             working.frame_set(frame)
             is_on_path = frame in plan.frames
             # Beside the path the camera only tells how it moves: no phone's is one that was switched to.

@@ -89,7 +89,7 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
     check_is_rendered(scene)
     read = _begun_with(outputs)
     plan = plan_previs(scene, settings.of_trial(*trials[0], seed))
-    survey = survey_run(scene, plan, outputs)
+    survey = yield from survey_run(scene, plan, outputs)
     write_json(outputs.settings, as_json(read))
     with scene_kept():
         runs = []

@@ -21,7 +21,7 @@ import bpy
 from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, part_of, shown
 from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
 from xihe_blender.lab.frontier.records import ComputeChoice
 from xihe_blender.light_transport import cycles_settings
@@ -62,19 +62,18 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
     check_is_rendered(scene)
     plan = plan_previs(scene, settings)
     with scene_kept():
-        yield Progress(0, 3, "metering the exposure")
-        metering = settings.metering_in_force
-        exposure = settings.exposure or meter_exposure(scene, plan.frames, settings.seed, metering=metering)
-        survey = survey_path(scene, plan)
+        survey = yield from part_of(3, 0, 0, survey_path(scene, plan))
+        metering = meter_exposure(scene, plan.frames, settings.seed, metering=settings.metering_in_force)
+        exposure = settings.exposure or (yield from shown(metering, lambda _: Progress(0, 3, "metering the exposure")))
         views = pilot_views(plan, survey)
         if not views:
             raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or it")
         view = views[len(views) // 2]
         effects = plan_effects(survey.required, overrides_in_force(scene, settings.effect_choices))
         capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=cycles_settings(effects))
-        yield Progress(1, 3, "measuring the noise of a few samples")
-        noise, _ = measure_captures(scene, [view], capture, exposure, settings.n_anchors, settings.trigger_in_use)
-        yield Progress(2, 3, "timing a few samples")
+        trigger = settings.trigger_in_use
+        measuring = measure_captures(scene, [view], capture, exposure, settings.n_anchors, trigger)
+        noise, _ = yield from part_of(3, 1, 1, measuring)
         seen: list[RgbdFrame] = []
         with open_scanner(scene, capture) as scanner:
             scanner.exposure = exposure
@@ -83,7 +82,8 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
             def render(_frame: int) -> None:
                 seen.append(scanner.acquire_environment_scan())
 
-            _, capturing = time_renders(render, (view[0],) * N_RENDERS, FEW_SAMPLES, scanner.scene)
+            timing = time_renders(render, (view[0],) * N_RENDERS, FEW_SAMPLES, scanner.scene)
+            _, capturing = yield from shown(timing, lambda _: Progress(2, 3, "timing a few samples"))
         step_ms = _timed_step(seen[-1], view[1][0])
     samples = {name: samples_taken(preset, noise) for name, preset in PRESETS.items()}
     frame_s = {name: replace(capturing, samples=n).render_s for name, n in samples.items()}

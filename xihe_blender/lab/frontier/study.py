@@ -28,7 +28,7 @@ from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_or_made
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
-from xihe_blender.jobs import Job, Progress, part_of
+from xihe_blender.jobs import Job, Progress, part_of, run_blocking, shown
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import compute_choices, render_choices
 from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ORDER, ChoiceBackend, Walk, measure_compute
@@ -219,17 +219,17 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
 def _preparation(study: SceneStudy) -> Job[Json]:
     """What `kept_preparation` reads."""
     scene, plan = study.scene, study.plan
-    yield Progress(0, 1, "metering the exposure, looking for effects")
-    exposure = meter_exposure(scene, plan.frames, study.settings.seed)
+    metering, looking = meter_exposure(scene, plan.frames, study.settings.seed), "metering the exposure"
+    exposure = yield from shown(metering, lambda _: Progress(0, 1, f"{looking}, looking for effects"))
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
     if not pilot_views(plan, study.survey):
         words = "never has a virtual object in view: move the camera's path, or objects"
         raise UserError(f"scene {scene.name!r} {words}")
     samples = {}
     for index, name in enumerate(PRESETS):
-        yield Progress(1 + index, 1 + len(PRESETS), f"measuring how many samples {name} takes")
         settings = PrevisSettings(preset=name, seed=study.settings.seed)
-        count = measure_sample_count(scene, plan, study.survey, settings, exposure, cycles_settings(effects))
+        measuring = measure_sample_count(scene, plan, study.survey, settings, exposure, cycles_settings(effects))
+        count = yield from part_of(1 + len(PRESETS), 1 + index, 1, measuring, name)
         samples[name] = count.capture_samples
     return {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples}
 
@@ -282,4 +282,4 @@ def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) ->
     """What a run on `scene` would do, and what its path is like; UserError as a run raises it."""
     check_is_rendered(scene)
     plan = plan_previs(scene, PrevisSettings(size=size))
-    return plan, survey_path(scene, plan)
+    return plan, run_blocking(survey_path(scene, plan))

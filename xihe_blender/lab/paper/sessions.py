@@ -19,7 +19,7 @@ from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.json_records import Json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_json
-from xihe_blender.jobs import Job, part_of
+from xihe_blender.jobs import Job, part_of, run_blocking
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.captures import open_capture
 from xihenet.io.json_files import read_json
@@ -167,7 +167,7 @@ def _is_steady(scene: bpy.types.Scene, plan: PrevisPlan, frames: Sequence[int]) 
     from xihe_blender.light_transport.render_reuse import plan_render_reuse
     from xihe_blender.previs.survey import survey_path
 
-    survey = survey_path(scene, plan)
+    survey = run_blocking(survey_path(scene, plan))
     names = {frame: tuple(probe.name for probe in plan.probes) or ("room",) for frame in frames}
     reuse = plan_render_reuse(survey.states, names, survey.moved)
     return all(made_in == frames[0] for made_in in reuse.probes.values())

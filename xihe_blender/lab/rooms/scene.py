@@ -18,7 +18,7 @@ import numpy as np
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import meter_exposure, open_scanner, phone_camera, sized_for
 from xihe_blender.errors import UserError
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.lab.rooms import store
 from xihe_blender.lab.rooms.build import rooms_held
 from xihe_blender.lab.rooms.render_room import Picture, reference_lights, stored_room, take_picture
@@ -64,8 +64,8 @@ def add_scene(
     shared = {"render": settings.numbers, "noise_target": settings.noise_target, "metering": store.METERING}
     total = len(chosen) + len(positions_m) + 1
     with rooms_held(folder, {"format": store.FORMAT_VERSION, "scenes": True, **shared}), scene_kept():
-        yield Progress(0, total, "metering")
-        exposure = meter_exposure(scene, chosen, metering=store.METERING)
+        metering = meter_exposure(scene, chosen, metering=store.METERING)
+        exposure = yield from shown(metering, lambda _: Progress(0, total, "metering"))
         _check_can_be_stored(scene, exposure)
         pictures, is_unhidden = [], []
         for picture, unhidden in _pictures(scene, chosen, RenderSettings(size, settings.view_samples), positions_m):
