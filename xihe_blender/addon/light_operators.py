@@ -25,6 +25,9 @@ FLOOR = ("show_floor", "show_axis_x", "show_axis_y")
 _views: dict[int, str] = {}
 """The same by area, while the file is open: Undo and Remove Light take the lit scene away. The number is Blender's."""
 
+_showed: set[int] = set()
+"""Areas that have shown the lit scene: Undo and Redo bring it back, but not how the view was shaded."""
+
 
 class XIHE_OT_apply_light(Action, bpy.types.Operator):
     bl_idname = "xihe.apply_light"
@@ -106,20 +109,31 @@ def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
     if active is not None and active.mode == "OBJECT" and active in set(layer.objects):
         layer.objects.active = active
     if context.area is not None and context.area.type == "VIEW_3D":
-        space = context.area.spaces.active
-        shown = [line for line in FLOOR if getattr(space.overlay, line)]
-        view = space.region_3d
-        place = [*view.view_rotation, *view.view_location, view.view_distance]
-        before = " ".join([space.shading.type, view.view_perspective, *map(str, place), *shown])
-        lit[VIEW_BEFORE] = before = _views.setdefault(context.area.as_pointer(), before)
-        space.shading.type, space.region_3d.view_perspective = "RENDERED", "CAMERA"
-        for line in FLOOR:
-            setattr(space.overlay, line, False)
+        lit[VIEW_BEFORE] = _show_rendered(context.area)
+
+
+def _show_rendered(area: bpy.types.Area) -> str:
+    """Show the lit scene in `area`, through its camera; how the view was before."""
+    space, view = area.spaces.active, area.spaces.active.region_3d
+    shown = [line for line in FLOOR if getattr(space.overlay, line)]
+    place = [*view.view_rotation, *view.view_location, view.view_distance]
+    before = " ".join([space.shading.type, view.view_perspective, *map(str, place), *shown])
+    space.shading.type, view.view_perspective = "RENDERED", "CAMERA"
+    for line in FLOOR:
+        setattr(space.overlay, line, False)
+    _showed.add(area.as_pointer())
+    return _views.setdefault(area.as_pointer(), before)
+
+
+def _views_3d(*, of_lit: bool) -> list[bpy.types.Area]:
+    """The 3D views of all windows, or of those that show the lit scene."""
+    windows = [one for one in bpy.context.window_manager.windows if not of_lit or ROOM in one.scene]
+    return [area for window in windows for area in window.screen.areas if area.type == "VIEW_3D"]
 
 
 def _put_views_back() -> None:
-    for area in (area for window in bpy.context.window_manager.windows for area in window.screen.areas):
-        if area.type == "VIEW_3D" and area.as_pointer() in _views:
+    for area in _views_3d(of_lit=False):
+        if area.as_pointer() in _views:
             _put_back(area, _views[area.as_pointer()])
     _views.clear()
 
@@ -144,6 +158,9 @@ def _has_left() -> bool:
 def _after_undo(*_: Any) -> None:
     if _has_left():
         _put_views_back()
+    for area in () if _views else _views_3d(of_lit=True):
+        if area.as_pointer() in _showed:
+            _show_rendered(area)
 
 
 @bpy.app.handlers.persistent
@@ -156,6 +173,7 @@ def _after_update(*_: Any) -> None:
 @bpy.app.handlers.persistent
 def _after_load(*_: Any) -> None:
     _views.clear()
+    _showed.clear()
     _listen()
 
 
@@ -202,4 +220,5 @@ def register() -> None:
 def unregister() -> None:
     bpy.msgbus.clear_by_owner(_views)
     _views.clear()
+    _showed.clear()
     _unregister_classes()

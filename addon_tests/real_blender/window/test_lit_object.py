@@ -80,10 +80,10 @@ def test_remove_leaves_nothing(first_success):
     assert first_success.facts["removed"] == first_success.facts["before"] == {kind: [] for kind in KINDS}
 
 
-def test_undo_of_show_lit_and_remove_light_give_the_3d_view_back(first_success):
-    before, lit, undone, removed = first_success.facts["views"]
-    assert lit == ["Xihe Lit", "RENDERED", "CAMERA", False] != before
-    assert undone == removed == before
+def test_undo_of_show_lit_and_remove_light_give_the_3d_view_back_and_redo_shows_the_light(first_success):
+    before, lit, undone, redone, again, removed = first_success.facts["views"]
+    assert lit == redone == ["Xihe Lit", "RENDERED", "CAMERA", False] != before
+    assert undone == again == removed == before
 
 
 @pytest.mark.parametrize("add_on", ["none", None], ids=["without the add-on", "with it again"])

@@ -226,9 +226,10 @@ def undo_the_lit_scene(w):
         bpy.ops.xihe.show_lit("EXEC_DEFAULT", True)
     yield 0.5
     w.facts["views"] = [before, view_now(w)]
-    yield from press_until(w, "ctrl+z", lambda: w.window.scene.name == "Scene")
-    yield 0.5
-    w.facts["views"].append(view_now(w))
+    for key, name in (("ctrl+z", "Scene"), ("ctrl+shift+z", "Xihe Lit"), ("ctrl+z", "Scene")):
+        yield from press_until(w, key, lambda: w.window.scene.name == name)  # noqa: B023 - asked at once
+        yield 0.5
+        w.facts["views"].append(view_now(w))
 
 
 def press_until(w, key, is_there, at_most=5):
