@@ -6,9 +6,12 @@ from types import SimpleNamespace
 
 import bpy
 import pytest
+from previs_runs import walk
 
 from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
 from xihe_blender.addon.modal_job import RunUnderWay
+from xihe_blender.addon.panels import ended_elsewhere
+from xihe_blender.addon.run_operators import Following
 from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Progress, run_blocking
@@ -40,6 +43,19 @@ def test_a_run_whose_scene_was_renamed_or_deleted_is_shown_in_no_other(tmp_path)
         run.find_scene()
     del hall[ROOM]
     hall.name = asked
+
+
+def test_a_run_that_ends_while_another_scene_is_shown_is_said_there(finished, addon):
+    scene, job = walk(), bpy.context.window_manager.xihe
+    kitchen = bpy.data.scenes.new("Kitchen")
+    operator = SimpleNamespace(background=None, folder=finished.outputs.folder, report=lambda *_: None)
+    for of_run, said in ((scene, ""), (kitchen, "The run of scene 'Kitchen' is finished: go there to see it")):
+        operator.scene = of_run
+        Following.finish(operator, bpy.context, None)
+        assert ended_elsewhere(bpy.context) == said
+    kitchen.name = "Bath"
+    assert ended_elsewhere(bpy.context) == ""
+    job.ended_in = ""
 
 
 def test_the_mouse_pointer_shows_the_progress_of_a_job_in_this_file_alone():

@@ -50,7 +50,7 @@ def _after_load(*_: Any) -> None:
     # What was followed is left alone now; a file that was saved meanwhile says otherwise.
     job = bpy.context.window_manager.xihe
     job.is_running = job.is_cancel_wanted = False
-    job.doing = job.error = job.run_estimate = job.budget_estimate = ""
+    job.doing = job.error = job.ended_in = job.run_estimate = job.budget_estimate = ""
     job.progress = job.seconds_left = 0.0
     _look_for_run()
     remove_working_scenes()

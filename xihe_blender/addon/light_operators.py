@@ -63,6 +63,7 @@ class XIHE_OT_show_lit(Action, bpy.types.Operator):
         scene, folder, active = context.scene, last_run_folder(context.scene), context.view_layer.objects.active
         unlit = light_the_new(scene)
         lit = show_lit(scene, folder, active.name if active else "")
+        context.window_manager.xihe.ended_in = ""
         if context.window is not None:
             _enter(context, lit)
             read_ahead(scene)

@@ -58,7 +58,8 @@ class RunUnderWay:
         self.shown: Progress | None = None
         state = self.window_manager.xihe
         state.is_running, state.is_cancel_wanted, state.works_here = True, False, works_here
-        state.progress, state.seconds_left, state.doing, state.error = 0.0, 0.0, "starting", ""
+        state.progress, state.seconds_left, state.doing = 0.0, 0.0, "starting"
+        state.error = state.ended_in = ""
         self.window_manager.progress_begin(0, 100)
 
     def step(self) -> bool:

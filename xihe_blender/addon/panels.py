@@ -279,6 +279,8 @@ class XIHE_PT_run(StagePanel, bpy.types.Panel):
         row.operator("xihe.measure_run", text="" if takes else "How Long?", icon="TIME")
         if takes:
             row.label(text=as_sentence(takes), translate=False)
+        if said := ended_elsewhere(context):
+            sentence(context, layout, said, icon="INFO")
         if job.error:
             sentence(context, layout, job.error, icon="ERROR")
         elif not (has_camera(context) or has_virtual_objects(context)):
@@ -315,6 +317,8 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         is_lit = shows_run(context)
+        if is_lit and (said := ended_elsewhere(context)):
+            sentence(context, layout, said, icon="INFO")
         row = layout.row()
         row.scale_y = RUN_SCALE
         row.operator(
@@ -376,6 +380,13 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row.operator_menu_enum("xihe.export_light", "target", text="Export Light")
         row.operator("xihe.open_report", text="Open Report")
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = str(found_folder(settings.run_folder))
+
+
+def ended_elsewhere(context: bpy.types.Context) -> str:
+    """That a run has ended, where its results are in another scene than the one shown; else nothing."""
+    name = context.window_manager.xihe.ended_in
+    is_elsewhere = name in bpy.data.scenes and name != context.scene.name
+    return f"The run of scene {name!r} is finished: go there to see it" if is_elsewhere else ""
 
 
 def shown_warnings(run: RunResults) -> list[str]:

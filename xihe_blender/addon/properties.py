@@ -313,6 +313,9 @@ class XiheJobState(bpy.types.PropertyGroup):
         name="Time Left", description="Seconds left at the pace so far; 0 while unknown", min=0.0
     )
     error: bpy.props.StringProperty(name="Error", description="What went wrong last, in one line")
+    ended_in: bpy.props.StringProperty(
+        name="Ended In", description="Name of the scene whose run ended last, if the window showed another one then"
+    )
     run_estimate: bpy.props.StringProperty(
         name="Run Time", description="How long a run would take on this machine, and how that was measured"
     )

@@ -55,6 +55,8 @@ class Following(ModalJob):
         if run is None:
             # A run in this process cannot be taken up, and an earlier one is the newest no more.
             context.window_manager.xihe.newest_run = chosen.begun_run = ""
+        if chosen.id_data != context.scene:
+            context.window_manager.xihe.ended_in = chosen.id_data.name
         self.report({"INFO"}, f"The run is finished: {self.folder}")
         from xihe_blender.addon.results_in_blender import left_out
 
