@@ -85,6 +85,7 @@ def test_the_light_is_that_of_the_session_itself(tmp_path):
     assert "plain folder" in page and "The sphere" not in page and page.count("data:image/png") == 2 + len(whole.frames)
     exported = read_strictly((tmp_path / "three" / "three.json").read_text())["lights"]
     assert [light["frame"] for light in exported] == fired and (tmp_path / "place_0.png").is_file()
+    assert all((tmp_path / "three" / light["reflections"]).is_file() for light in exported)
 
 
 @pytest.mark.parametrize("name", layouts(["Record3D", "Stray Scanner", "Polycam", "plain folder"]))

@@ -35,7 +35,9 @@ from xihenet.left_out import EstimatorScore, score_places, score_session
 from xihenet.light.exports import NamedLight
 from xihenet.light.light_picture import light_picture, seen_picture
 from xihenet.light.platforms import PLATFORMS
+from xihenet.light.reflections import fill_reflections
 from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
+from xihenet.sphere import AnchorLattice
 from xihenet.trigger import RULES, TriggerSettings
 
 SCORE = (
@@ -248,6 +250,7 @@ def _replayed(
         estimator,
         trigger=_trigger(capture, options),
         has_key_light=True,
+        has_reflections=options.to is not None,
         reference_exposure=capture.reference_exposure,
         never_in_view=unseen,
         between_estimates=options.between_estimates,
@@ -298,7 +301,10 @@ def _note(place: Place, step: ReplayedStep) -> None:
             else {"direction": key.direction.tolist(), "irradiance": key.irradiance.tolist(), "is_seen": key.is_seen},
         }
     )
-    place.exported.append(NamedLight(place.name, step.frame, step.time_s, step.lights[place.name]))
+    light, seen = step.lights[place.name], estimate.reflected
+    if seen is not None:
+        light = replace(light, reflections=fill_reflections(seen, AnchorLattice(len(seen)), light))
+    place.exported.append(NamedLight(place.name, step.frame, step.time_s, light))
 
 
 def _summed(each: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -45,6 +45,7 @@ def replay(
     *,
     trigger: TriggerSettings = REPLAY_TRIGGER,
     has_key_light: bool = False,
+    has_reflections: bool = False,
     reference_exposure: float | None = None,
     never_in_view: Collection[str] = (),
     between_estimates: BetweenEstimates = "carried",
@@ -60,6 +61,7 @@ def replay(
         reference_exposure=reference_exposure,
         learns_out_of_view=True,
         has_key_light=has_key_light,
+        has_reflections=has_reflections,
         between_estimates=between_estimates,
     )
     backend = LocalBackend(estimator) if isinstance(estimator, Estimator) else estimator
