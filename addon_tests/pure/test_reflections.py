@@ -149,6 +149,15 @@ def test_a_lamp_that_the_estimate_implies_is_shown_where_nothing_was_seen():
     assert given * 4 * np.pi / len(LATTICE) == pytest.approx(0.25 * key.irradiance, rel=1e-3)
 
 
+def test_a_lamp_that_is_implied_is_as_bright_where_most_of_its_disc_was_seen_to_be_dark():
+    key = KeyLight(np.array([0.0, 0.6, 0.8]), np.array([4.0, 3.0, 2.0]), 0.35, False)
+    light, cosine = ObjectLight(FLAT + sh_of_key_light(key), key), LATTICE.directions @ key.direction
+    sliver = (cosine > np.cos(0.35)) & (LATTICE.directions[:, 0] > 0.25)
+    found = fill_reflections(cloud_of(np.full((len(LATTICE), 3), 0.3), ~sliver), LATTICE, light).radiance
+    disc = 0.6 * key.irradiance / (np.pi * np.sin(0.35) ** 2)
+    assert sliver.sum() >= 5 and found[sliver].mean(axis=0) == pytest.approx(disc, rel=0.05)
+
+
 @pytest.mark.parametrize("share", [0.3, 1.0, 2.0])
 def test_a_sun_takes_as_much_light_out_of_the_picture_as_it_gives_and_none_from_elsewhere(share):
     direction, radius = random_directions(1, 7)[0], 0.2

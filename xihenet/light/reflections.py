@@ -178,8 +178,10 @@ def _brightened(radiance: ArrayF64, cloud: UnitSphereCloud, lattice: AnchorLatti
         patch, most, share = is_white & (cosine > SAME_LIGHT_COSINE), MOST_BRIGHTENED, sure_share(key)
     else:
         spacing = np.sqrt(4 * np.pi / len(lattice))
-        patch, most = ~cloud.is_set & (cosine > np.cos(max(key.angular_radius, spacing))), np.inf
-        share = min(sure_share(key), IMPLIED_IS)
+        disc = cosine > np.cos(max(key.angular_radius, spacing))
+        patch, most = ~cloud.is_set & disc, np.inf
+        # What is left of the disc where a part was seen is as bright as all of it: it gives its part of the light.
+        share = min(sure_share(key), IMPLIED_IS) * cosine[patch].sum() / cosine[disc].sum()
     shown = (radiance[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(lattice)
     of_key = np.divide(share * key.irradiance, shown, out=np.ones(3), where=shown > 0)
     gain[patch] = np.maximum(gain[patch], np.minimum(of_key, most))
