@@ -51,7 +51,7 @@ def z_up(points):
 def test_a_record3d_file_opens_by_hand(tmp_path, intrinsics):
     import lzfse
 
-    frames = doubted(walk(intrinsics, 3))
+    frames = [replace(frame, time_s=15 * frame.time_s) for frame in doubted(walk(intrinsics, 3))]  # Two a second
     assert record3d.write(tmp_path / "a.r3d", frames, Form(colour_scale=5)).n_frames == 3
     with zipfile.ZipFile(tmp_path / "a.r3d") as file:
         assert file.testzip() is None and not list(tmp_path.glob(".*"))
@@ -59,6 +59,7 @@ def test_a_record3d_file_opens_by_hand(tmp_path, intrinsics):
         k = np.array(said["K"]).reshape(3, 3).T
         assert (said["w"], said["h"]) == (intrinsics.width * 5, intrinsics.height * 5)
         assert said["poses"][0] == pytest.approx([0, 0, 0, 1, 0, 0, 0], abs=1e-6)
+        assert [n / said["fps"] for n in range(len(frames))] == pytest.approx([frame.time_s for frame in frames])
         for n, frame in enumerate(frames):
             depth = np.frombuffer(lzfse.decompress(file.read(f"rgbd/{n}.depth")), np.float32)
             depth = depth.reshape(intrinsics.height, intrinsics.width)

@@ -26,7 +26,7 @@ from xihenet.captures.writing.pictures import (
 )
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
-FPS = 30.0
+FPS = 30.0  # Of a single frame
 
 
 def write(path: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Written:
@@ -72,12 +72,13 @@ def _metadata(
     size: Intrinsics, scale: int, poses: list[list[float]], k: list[list[float]], times_s: list[float]
 ) -> dict[str, Any]:
     fx, fy, cx, cy = k[0]
+    lasts_s = times_s[-1] - times_s[0]
     return {
         "w": size.width * scale,
         "h": size.height * scale,
         "dw": size.width,
         "dh": size.height,
-        "fps": FPS,
+        "fps": (len(times_s) - 1) / lasts_s if lasts_s > 0 else FPS,
         "K": [fx, 0.0, 0.0, 0.0, fy, 0.0, cx, cy, 1.0],
         "perFrameIntrinsicCoeffs": k,
         "frameTimestamps": times_s,
