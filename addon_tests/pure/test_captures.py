@@ -1,6 +1,7 @@
 """Recordings in the layouts of others: what is read is what was seen. Broken ones are in test_broken_captures.py."""
 
 import json
+import unicodedata
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from xihe_blender.cli import replay as replay_command
 from xihe_blender.cli.main import main
 from xihenet import estimators
 from xihenet.captures import open_capture
+from xihenet.captures.capture import inside
 from xihenet.captures.reading import READERS
 from xihenet.captures.reading.values import rotation_of
 from xihenet.captures.replay import never_in_view, replay
@@ -152,6 +154,17 @@ def test_a_long_replay_says_how_far_it_is(tmp_path, capfd, monkeypatch):
     assert main(["replay", str(path), "--score", "--drift", "ignored", "--out", str(tmp_path / "scored")]) == 0
     said = [line for line in capfd.readouterr().err.splitlines() if "%" in line]
     assert len(said) == 12 + 3 + 1 and "choosing places, frame 12 of 12" in said[11] and "frame 1 of 3" in said[12]
+
+
+@pytest.mark.parametrize(("stored", "named"), [("NFD", "NFC"), ("NFC", "NFD"), ("NFD", "NFD")])
+def test_names_with_accents_are_found_in_either_form(tmp_path, stored, named):
+    there = tmp_path / unicodedata.normalize(stored, "Küche/Gerät ä.png")
+    there.parent.mkdir()
+    there.touch()
+    assert inside(tmp_path, unicodedata.normalize(named, "Küche/Gerät ä.png")).is_file()
+    assert not inside(tmp_path, "Küche/ö.png").exists() and not inside(tmp_path, "é/ö.png").exists()
+    with pytest.raises(ValueError, match="lies outside"):
+        inside(there.parent, "../é/../../ö.png")
 
 
 def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import unicodedata
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -73,14 +74,28 @@ class Capture:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """The file of that name below `folder`; ValueError for one that lies elsewhere, links followed."""
+    """The file of that name below `folder`, accents in either Unicode form; ValueError for one that lies elsewhere,
+    links followed."""
     path = folder / name
+    if not name.isascii() and not path.exists():
+        path = folder
+        for part in Path(name).parts:
+            path /= _names_in(str(path)).get(unicodedata.normalize("NFC", part), part)
     lies_at = _resolved(str(path.parent)) / path.name
     if path.name == ".." or lies_at.is_symlink():
         lies_at = lies_at.resolve()
     if not lies_at.is_relative_to(_resolved(str(folder))):
         raise ValueError(f"{name!r} lies outside {folder}: a recording may name only what is in its folder")
     return path
+
+
+@lru_cache(maxsize=64)
+def _names_in(folder: str) -> Mapping[str, str]:
+    """Of the files in a folder, by their composed form: copied from a Mac, accents may stand beside their letters."""
+    try:
+        return {unicodedata.normalize("NFC", path.name): path.name for path in Path(folder).iterdir()}
+    except OSError:
+        return {}
 
 
 @lru_cache(maxsize=64)
