@@ -45,7 +45,7 @@ NOISY = replace(QUICK, samples=1)
 """For tests that hold budgets against each other, or against files, and ask for no order of parts."""
 
 
-def budget(scene, out, settings=QUICK, n_moments=2, n_seeds=1):
+def budget(scene, out, settings=QUICK, n_moments=1, n_seeds=1):
     return run_blocking(error_budget(scene, out, settings, n_moments=n_moments, n_seeds=n_seeds))
 
 
@@ -60,7 +60,7 @@ def whole(tmp_path_factory):
     """The folder of a budget, which nothing may change, and what it says."""
     scene, out = room_with_a_virtual_sphere(3), tmp_path_factory.mktemp("whole") / "out"
     with nothing_changes():
-        results = budget(scene, out, NOISY)
+        results = budget(scene, out, NOISY, n_moments=2)
         bpy.context.view_layer.update()
     return out, results
 
@@ -69,7 +69,7 @@ def whole(tmp_path_factory):
 def both(tmp_path_factory):
     """The folder of an undisturbed budget of two seeds, and what it says."""
     out = tmp_path_factory.mktemp("both")
-    return out, budget(room_with_a_virtual_sphere(2), out, NOISY, n_moments=1, n_seeds=2)
+    return out, budget(room_with_a_virtual_sphere(2), out, NOISY, n_seeds=2)
 
 
 def test_a_budget_has_every_part_and_leaves_the_scene_as_it_was(whole):
@@ -92,7 +92,7 @@ def test_a_budget_has_every_part_and_leaves_the_scene_as_it_was(whole):
 def test_the_light_in_use_is_that_of_a_run(whole, tmp_path):
     shutil.copytree(whole[0], tmp_path / "budget")
     scene = room_with_a_virtual_sphere(3)
-    (item,) = budget(scene, tmp_path / "budget", NOISY, n_moments=1).objects
+    (item,) = budget(scene, tmp_path / "budget", NOISY).objects
     there = run(scene, tmp_path / "run", replace(NOISY, frames=(1, 2, 3)))
     last = np.array(there["frames"][-1]["probes"][0]["sh"])
     kept = json.loads((tmp_path / "budget" / "work" / "satin_ball_0_0001.json").read_text())
@@ -111,9 +111,9 @@ def test_a_budget_that_is_stopped_goes_on_and_a_finished_one_renders_nothing(bot
         while progress.done < 0.6 * progress.total:
             progress = next(job)
     assert not (out / "budget.json").exists() and unfinished_files(out) == []
-    resumed, kept = budget(scene, out, NOISY, n_moments=1, n_seeds=2), files_below(out / "work")
+    resumed, kept = budget(scene, out, NOISY, n_seeds=2), files_below(out / "work")
     with counted_renders() as renders:
-        assert budget(scene, out, NOISY, n_moments=1, n_seeds=2).objects == resumed.objects
+        assert budget(scene, out, NOISY, n_seeds=2).objects == resumed.objects
     assert renders == [] and files_below(out / "work") == kept
     assert resumed.objects == both[1].objects
 
@@ -121,7 +121,7 @@ def test_a_budget_that_is_stopped_goes_on_and_a_finished_one_renders_nothing(bot
 @pytest.mark.slow
 def test_a_budget_is_the_mean_over_its_seeds_and_says_how_sure_each_part_is(both, tmp_path):
     scene = room_with_a_virtual_sphere(2)
-    each = [budget(scene, tmp_path / f"{seed}", replace(NOISY, seed=seed), n_moments=1) for seed in (0, 1)]
+    each = [budget(scene, tmp_path / f"{seed}", replace(NOISY, seed=seed)) for seed in (0, 1)]
     (item,), singles = both[1].objects, [one.objects[0] for one in each]
     assert item.error == pytest.approx(np.mean([one.error for one in singles]))
     for place, part in enumerate(item.parts):
@@ -160,13 +160,13 @@ def test_a_lamp_far_above_white_in_view_puts_clipping_first(tmp_path):
     scene = room_around_a_ball(((0, 1.97, 0), (3, 0.02, 3), 40.0), walls=0.02)
     # `lattice` guesses how bright the lamp is, and may be right.
     settings = replace(QUICK, exposure=0.2, estimator="projection")
-    found = gains(budget(scene, tmp_path, settings, n_moments=1))
+    found = gains(budget(scene, tmp_path, settings))
     assert max(found, key=found.get) == "clipping"
 
 
 def test_a_lamp_behind_the_phone_is_a_matter_of_where_it_looks(tmp_path):
     scene = room_around_a_ball(((0, -1.97, 0), (3, 0.02, 3), 1.0), walls=0.02)
-    found = gains(budget(scene, tmp_path, replace(QUICK, exposure=0.9), n_moments=1))
+    found = gains(budget(scene, tmp_path, replace(QUICK, exposure=0.9)))
     assert set(sorted(found, key=found.get)[-2:]) == {"field_of_view", "coverage"}
     assert abs(found["clipping"]) < 0.2 * found["coverage"]
 
@@ -183,7 +183,7 @@ def test_a_slow_network_and_a_light_that_changes_put_delay_first(tmp_path):
 
 
 def test_a_phone_with_a_range_sensor_has_a_part_for_it(tmp_path):
-    results = budget(room_with_a_virtual_sphere(2), tmp_path, replace(NOISY, phone="ipad_pro_lidar"), n_moments=1)
+    results = budget(room_with_a_virtual_sphere(2), tmp_path, replace(NOISY, phone="ipad_pro_lidar"))
     (part,) = (part for part in results.objects[0].parts if part.name == "sensor")
     assert part.state == "measured"
 
@@ -192,7 +192,7 @@ def test_a_lamp_that_no_camera_sees_comes_first_where_it_is_all_the_light(tmp_pa
     scene = room_around_a_ball(walls=0.02)
     lamp = add_lamp(scene, "AREA", (0, 1.9, 0), energy=50.0, size=2.0)
     lamp.rotation_euler, lamp.visible_camera = (-np.pi / 2, 0, 0), False
-    found = gains(budget(scene, tmp_path, n_moments=1))
+    found = gains(budget(scene, tmp_path))
     assert max(found, key=found.get) == "hidden_lamps"
 
 
