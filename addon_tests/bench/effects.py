@@ -26,6 +26,7 @@ from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.io.blender_output import blender_output_aside
+from xihe_blender.lab.paper.records import measured
 from xihe_blender.light_transport import cycles_settings, required_effects
 from xihe_blender.previs.required_effects import positions_in
 from xihe_blender.scene.blend_file import open_blend
@@ -106,10 +107,8 @@ def _turned(names: list[str], seed: int) -> list[str]:
 
 def ratio(first: list[float], second: list[float]) -> str:
     """The median of the pairs' ratios, and the interval in which it lies with 95 %."""
-    ratios = np.divide(first, second)
-    drawn = np.random.default_rng(0).choice(ratios, (2000, len(ratios)))
-    low, high = np.percentile(np.median(drawn, axis=1), (2.5, 97.5))
-    return f"{np.median(ratios):.3f} [{low:.3f}, {high:.3f}]"
+    found = measured(np.divide(first, second), np.random.default_rng(0), statistic=np.median)
+    return f"{found.value:.3f} [{found.low:.3f}, {found.high:.3f}]"
 
 
 def main() -> None:

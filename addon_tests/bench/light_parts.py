@@ -7,7 +7,7 @@ clipped at white, as a display shows it. In the ring around the spheres, where t
 once, by RMSE of colour clipped at white; under spherical harmonics alone there is no shadow.
 
 The ground truth takes more samples than the preset's comparisons, since with 8 the lamps that a mirror shows are as
-much noise as picture, and only around the spheres; beyond, the pictures have the captured room.
+much noise as picture.
 
     python addon_tests/bench/light_parts.py OUT SCENE.blend... [--estimator NAME] [--every N] [--preset NAME]
         [--samples N]
@@ -21,13 +21,11 @@ the empty `placement_0`. Captures in OUT are used again.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import numpy as np
-from bpy_extras.object_utils import world_to_camera_view
 from given import given
 from mathutils import Vector
 
@@ -51,7 +49,7 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.io.recording import load_frame
 from xihenet.metrics import image_rmse
-from xihenet.records import ArrayBool, ArrayF64, ObjectLight
+from xihenet.records import ArrayF64, ObjectLight
 
 PLACE = "placement_0"
 PARTS = ("sh", "sh+key", "sh+key+reflections")
@@ -97,7 +95,7 @@ def part_of(light: ObjectLight, parts: str) -> ObjectLight:
 def measured(
     file: Path, out: Path, settings: PrevisSettings, every: int, samples: int
 ) -> dict[tuple[str, str], list[list[float]]]:
-    """RMSE, si-RMSE, SSIM and shown RMSE at each compared frame, by object and method."""
+    """RMSE, si-RMSE and shown RMSE at each compared frame, by object and method."""
     run, walked = walked_scene(file, out, settings)
     methods = {f"{who} {parts}": (who, parts) for who in (settings.estimator, "truth") for parts in PARTS}
     found = defaultdict(list)
@@ -105,9 +103,7 @@ def measured(
     with open_comparer(run.scene, run.plan.objects, list(methods), run.comparison, has_key_light=True) as comparer:
         comparer.ground_truth.cycles.samples = samples
         for frame in frames:
-            for one in (comparer.ground_truth, comparer.lit):
-                look_at_objects_alone(one, run.plan.objects, frame)
-            kept = out / f"truth_near_{samples}_{frame:04d}.npz"
+            kept = out / f"truth_{samples}_{frame:04d}.npz"
             truth = read_kept(kept, load_ground_truth)
             if truth is None:
                 truth = comparer.render_ground_truth(frame)
@@ -122,7 +118,7 @@ def measured(
             layers = comparer.render_layers(captured, lights, surfaces).layers
             background = srgb_to_linear(captured.srgb_u8 / 255.0)
             exposed = truth.radiance.astype(np.float64) * captured.exposure
-            row = [np.where(is_rendered(comparer.ground_truth)[..., None], exposed, background)]
+            row = [exposed]
             for method in methods:
                 passes = {item.name: layers[comparer.layers[method, item.name]] for item in run.plan.objects}
                 has_shadow = methods[method][1] != "sh"
@@ -139,38 +135,10 @@ def measured(
     return found
 
 
-def look_at_objects_alone(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object], frame: int) -> None:
-    """Render their box in the picture and as much again on each side, where their shadows fall."""
-    scene.frame_set(frame)
-    depsgraph = scene.view_layers[0].depsgraph
-    corners = np.concatenate([box_corners_m(item, depsgraph) for item in objects]) / metres_per_unit(scene)
-    # The camera as it stands at that frame: the original moves with the window's scene alone.
-    camera = scene.camera.evaluated_get(depsgraph)
-    places = np.array([world_to_camera_view(scene, camera, Vector(corner))[:2] for corner in corners])
-    low, high = places.min(axis=0), places.max(axis=0)
-    size = high - low
-    low, high = np.clip(low - size, 0, 1), np.clip(high + size, 0, 1)
-    render = scene.render
-    render.use_border, render.use_crop_to_border = True, False
-    render.border_min_x, render.border_min_y = (float(one) for one in low)
-    render.border_max_x, render.border_max_y = (float(one) for one in high)
-
-
-def is_rendered(scene: bpy.types.Scene) -> ArrayBool:
-    """(H, W) the pixels wholly within the border, but for those at it, which Blender may round away."""
-    render = scene.render
-    width, height = render.resolution_x, render.resolution_y
-    x, y = (np.arange(width) + 0.5) / width, 1 - (np.arange(height) + 0.5) / height
-    rows = (y > render.border_min_y + 1 / height) & (y < render.border_max_y - 1 / height)
-    columns = (x > render.border_min_x + 1 / width) & (x < render.border_max_x - 1 / width)
-    inside: ArrayBool = rows[:, None] & columns
-    return inside
-
-
 def errors(picture: ArrayF64, truth: ArrayF64, weights: ArrayF64) -> list[float]:
     shown = image_rmse(np.clip(picture, 0, 1), np.clip(truth, 0, 1), weights)
     of_picture = measure(picture, truth, weights, np.zeros(weights.shape, bool))
-    return [of_picture.rmse or 0.0, of_picture.si_rmse or 0.0, of_picture.ssim or 0.0, shown or 0.0]
+    return [of_picture.rmse or 0.0, of_picture.si_rmse or 0.0, shown or 0.0]
 
 
 def main() -> None:
@@ -183,7 +151,7 @@ def main() -> None:
     for file in options.scenes:
         found = measured(file, options.out / file.stem, settings, options.every, options.samples)
         for name, method in found:
-            means = zip(("rmse", "si_rmse", "ssim", "shown_rmse"), np.mean(found[name, method], axis=0), strict=False)
+            means = zip(("rmse", "si_rmse", "shown_rmse"), np.mean(found[name, method], axis=0), strict=False)
             print(f"{file.stem:28} {name:12} {method:16}", *(f"{m} {v:.4f}" for m, v in means), flush=True)
 
 
