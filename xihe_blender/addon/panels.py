@@ -129,19 +129,17 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(scene, "camera")
-        if remembered_capture(scene) is not None:
+        is_recorded = remembered_capture(scene) is not None
+        if is_recorded:
             sentence(context, layout, IS_CAPTURED, icon="INFO")
-            column = layout.column()
-            column.prop(settings, "network")
-            column.prop(settings, "carries_light")
-            return
         column = layout.column()
-        whole = column.row()
-        # The name of a phone needs all of the width.
-        whole.use_property_split = False
-        whole.prop(settings, "phone", text="")
-        if settings.phone == "FILE":
-            column.prop(settings, "phone_file", text="File")
+        if not is_recorded:
+            whole = column.row()
+            # The name of a phone needs all of the width.
+            whole.use_property_split = False
+            whole.prop(settings, "phone", text="")
+            if settings.phone == "FILE":
+                column.prop(settings, "phone_file", text="File")
         column.prop(settings, "network")
         column.prop(settings, "carries_light")
 

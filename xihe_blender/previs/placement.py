@@ -140,12 +140,9 @@ def map_places(session: KeptSession, wanted: PlacementSettings) -> Job[MappedPla
     # A map shows irradiance alone: with the key light it takes 1.7 times as long.
     session = replace(session, settings=replace(session.settings, light="sh"))
     places_m, spacing_m = yield from find_places(session, wanted)
-    places: list[Place] = []
-    lights: list[ArrayF64] = []
     found = yield from session.find_light_on_all_cores({str(k): place for k, place in enumerate(places_m)})
-    for place, light in zip(places_m, found.values(), strict=True):
-        lights.append(light.sh[next(reversed(light.sh))])
-        places.append(_place(place, light, session.exposure))
+    places = (_place(place, light, session.exposure) for place, light in zip(places_m, found.values(), strict=True))
+    lights = (light.sh[next(reversed(light.sh))] for light in found.values())
     return MappedPlaces(tuple(places), tuple(lights), spacing_m)
 
 

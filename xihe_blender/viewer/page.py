@@ -23,7 +23,7 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import light_with_reflections, panorama_of_change
 from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.report.document import png_url
-from xihe_blender.report.values import escape
+from xihe_blender.report.values import escape, mean
 from xihenet.formats import format_number, format_percent, format_quantity
 from xihenet.io.png import encode_png
 from xihenet.io.recording import load_frame
@@ -190,22 +190,16 @@ def _surfaces(results: RunResults, number: int) -> dict[str, list[dict[str, Any]
 def _numbers(results: RunResults, frame: FrameResult) -> dict[str, list[list[str]]]:
     """By method, name and value of each figure."""
     own, compared, found = results.settings.estimator, results.compared_frames.get(frame.frame), {}
-    of_light: dict[str, list[float]] = {}
-    for probe in frame.probes:
-        if probe.shc_rmse is not None:
-            of_light.setdefault(own, []).append(probe.shc_rmse)
-        if probe.ambient_shc_rmse is not None:
-            of_light.setdefault("ambient", []).append(probe.ambient_shc_rmse)
-        for name, other in probe.others.items():
-            if other.shc_rmse is not None:
-                of_light.setdefault(name, []).append(other.shc_rmse)
-    expected = [probe.expected_error for probe in frame.probes if probe.expected_error is not None]
-    for name in dict.fromkeys([own, *results.settings.others, *TITLES]):
+    others, probes = results.settings.others, frame.probes
+    errors = {own: mean(one.shc_rmse for one in probes), "ambient": mean(one.ambient_shc_rmse for one in probes)}
+    errors |= {name: mean(one.others[name].shc_rmse for one in probes) for name in others}
+    expected = mean(probe.expected_error for probe in probes)
+    for name in dict.fromkeys([own, *others, *TITLES]):
         figures = []
-        if name in of_light:
-            figures.append(["Error of the light (SHC RMSE)", format_number(float(np.mean(of_light[name])), 3)])
-        if name == own and expected:
-            figures.append(["Expected error", format_number(float(np.mean(expected)), 3)])
+        if (error := errors.get(name)) is not None:
+            figures.append(["Error of the light (SHC RMSE)", format_number(error, 3)])
+        if name == own and expected is not None:
+            figures.append(["Expected error", format_number(expected, 3)])
         if compared is not None and name in compared.comparison:
             of_picture = compared.comparison[name]
             figures.append(["Error of the picture (RMSE)", format_number(of_picture.rmse, 3)])
