@@ -47,7 +47,7 @@ def sh_node_group() -> bpy.types.NodeTree:
             group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketVector")
         gain = group.interface.new_socket(GAIN, in_out="INPUT", socket_type="NodeSocketFloat")
         gain.default_value = 1.0
-        _GroupBuilder(group).build()
+        _write_sum(group)
     return group
 
 
@@ -177,61 +177,38 @@ def inputs_of_world(world: bpy.types.World) -> bpy.types.NodeInputs:
     return node.inputs
 
 
-class _GroupBuilder:
-    """Writes the basis as math nodes: sum over i of coefficient_i x Y_i(direction), times the gain.
+def _write_sum(group: bpy.types.NodeTree) -> None:
+    """The sum over i of coefficient_i x Y_i(direction), times the gain, as math nodes in `group`."""
 
-    Operands are sockets or numbers.
-    """
-
-    def __init__(self, group: bpy.types.NodeTree) -> None:
-        self.nodes, self.links = group.nodes, group.links
-
-    def build(self) -> None:
-        inputs = self.nodes.new("NodeGroupInput")
-        # In a world, Generated is the direction that light comes from, as seen from the shaded point.
-        direction = self.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
-        separate = self.nodes.new("ShaderNodeSeparateXYZ")
-        self.links.new(direction, separate.inputs[0])
-        total = None
-        for name, basis in zip(COEFFICIENTS, self._basis(*separate.outputs), strict=True):
-            scaled = self._scaled(inputs.outputs[name], basis)
-            total = scaled if total is None else self._math("ShaderNodeVectorMath", "ADD", total, scaled)
-        self.links.new(self._scaled(total, inputs.outputs[GAIN]), self.nodes.new("NodeGroupOutput").inputs[0])
-        for place, node in enumerate(self.nodes):
-            node.location = (180 * (place // 8), -160 * (place % 8))
-
-    def _basis(self, x: Any, y: Any, z: Any) -> list[Any]:
-        zonal = self._math("ShaderNodeMath", "SUBTRACT", self._product(3.0, z, z), 1.0)
-        xx_minus_yy = self._math("ShaderNodeMath", "SUBTRACT", self._product(x, x), self._product(y, y))
-        return [
-            _Y0,
-            self._product(_Y1, y),
-            self._product(_Y1, z),
-            self._product(_Y1, x),
-            self._product(_Y2, x, y),
-            self._product(_Y2, y, z),
-            self._product(_Y2 / np.sqrt(12), zonal),
-            self._product(_Y2, x, z),
-            self._product(_Y2 / 2, xx_minus_yy),
-        ]
-
-    def _product(self, *factors: Any) -> Any:
-        return functools.reduce(functools.partial(self._math, "ShaderNodeMath", "MULTIPLY"), factors)
-
-    def _scaled(self, vector: Any, scale: Any) -> bpy.types.NodeSocket:
-        scaled = self._math("ShaderNodeVectorMath", "SCALE", vector)
-        self._feed(scaled.node.inputs["Scale"], scale)
-        return scaled
-
-    def _math(self, kind: str, operation: str, *operands: Any) -> bpy.types.NodeSocket:
-        node = self.nodes.new(kind)
+    def computed(kind: str, operation: str, *operands: Any) -> bpy.types.NodeSocket:
+        """Of sockets or numbers; None is for an input that the operation does not look at."""
+        node = group.nodes.new(kind)
         node.operation = operation
         for socket, operand in zip(node.inputs, operands, strict=False):
-            self._feed(socket, operand)
+            if isinstance(operand, bpy.types.NodeSocket):
+                group.links.new(operand, socket)
+            elif operand is not None:
+                socket.default_value = float(operand)
         return node.outputs[0]
 
-    def _feed(self, socket: bpy.types.NodeSocket, source: Any) -> None:
-        if isinstance(source, bpy.types.NodeSocket):
-            self.links.new(source, socket)
-        else:
-            socket.default_value = float(source)
+    def product(*factors: Any) -> Any:
+        return functools.reduce(functools.partial(computed, "ShaderNodeMath", "MULTIPLY"), factors)
+
+    def scaled(vector: Any, scale: Any) -> bpy.types.NodeSocket:
+        return computed("ShaderNodeVectorMath", "SCALE", vector, None, None, scale)
+
+    # In a world, Generated is the direction that light comes from, as seen from the shaded point.
+    direction = group.nodes.new("ShaderNodeTexCoord").outputs["Generated"]
+    separate = group.nodes.new("ShaderNodeSeparateXYZ")
+    group.links.new(direction, separate.inputs[0])
+    x, y, z = separate.outputs
+    zonal = computed("ShaderNodeMath", "SUBTRACT", product(3.0, z, z), 1.0)
+    xx_minus_yy = computed("ShaderNodeMath", "SUBTRACT", product(x, x), product(y, y))
+    basis = [_Y0, product(_Y1, y), product(_Y1, z), product(_Y1, x), product(_Y2, x, y), product(_Y2, y, z),
+             product(_Y2 / np.sqrt(12), zonal), product(_Y2, x, z), product(_Y2 / 2, xx_minus_yy)]  # fmt: skip
+    inputs = group.nodes.new("NodeGroupInput").outputs
+    terms = [scaled(inputs[name], factor) for name, factor in zip(COEFFICIENTS, basis, strict=True)]
+    total = functools.reduce(functools.partial(computed, "ShaderNodeVectorMath", "ADD"), terms)
+    group.links.new(scaled(total, inputs[GAIN]), group.nodes.new("NodeGroupOutput").inputs[0])
+    for place, node in enumerate(group.nodes):
+        node.location = (180 * (place // 8), -160 * (place % 8))
