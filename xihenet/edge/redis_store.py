@@ -212,7 +212,7 @@ class RedisStore:
 
     def replace(self, session: Session, before: Session) -> bool:
         new, was = session_to_bytes(session), session_to_bytes(before)
-        return bool(self._run("replace", session.id, "", new, was) != b"overtaken")
+        return self._run("replace", session.id, "", new, was) != b"overtaken"
 
     def delete(self, session_id: str) -> None:
         self._run("delete", session_id)
@@ -248,7 +248,7 @@ class RedisStore:
             raise SessionFull(f"a session has {self.limits.n_positions_of_session} positions at most")
         if said == b"full":
             raise StoreFull(f"{self.limits.n_positions} positions are known")
-        return bool(said != b"overtaken")
+        return said != b"overtaken"
 
     def delete_position(self, session_id: str, name: str) -> bool:
         _remember(self._positions, (session_id, name), None)

@@ -270,8 +270,7 @@ class MemoryStore:
             self.expire()
             return None
         kept.used_s = now
-        del self._kept[session_id]
-        self._kept[session_id] = kept
+        self._kept[session_id] = self._kept.pop(session_id)
         return kept
 
     def _make_room(self, full: str, but: str = "") -> None:

@@ -40,7 +40,8 @@ def read(folder: Path, up: str | None) -> Capture:
     frames: list[CapturedFrame] = []
     are_sure = []
     for i, path in enumerate(paths):
-        colour = _picture(keyframes / f"{which}images", path.stem)
+        pictures = (keyframes / f"{which}images" / f"{path.stem}{suffix}" for suffix in PICTURES)
+        colour = next((picture for picture in pictures if picture.is_file()), None)
         plane_depth = keyframes / "depth" / f"{path.stem}.png"
         if colour is None or not (plane_depth.is_file() and path.is_file()):
             continue
@@ -58,10 +59,6 @@ def read(folder: Path, up: str | None) -> Capture:
     if (keyframes / "confidence").is_dir():
         notes += without_confidence(are_sure)
     return Capture("Polycam", frames, BLENDER_FROM_UP[up], tuple(notes))
-
-
-def _picture(folder: Path, stem: str) -> Path | None:
-    return next((path for suffix in PICTURES if (path := folder / f"{stem}{suffix}").is_file()), None)
 
 
 def _camera(path: Path, up: str) -> FrameCamera:

@@ -9,7 +9,7 @@ from typing import Any
 
 from xihenet.captures.reading.nerfstudio import FILE
 from xihenet.captures.writing.pictures import USUAL, Form, Written, colour_bytes, enlarged_intrinsics, save_depth
-from xihenet.records import Intrinsics, RgbdFrame
+from xihenet.records import RgbdFrame
 
 UNITS_PER_METRE = 1000
 
@@ -24,16 +24,13 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
             (folder / name).parent.mkdir(exist_ok=True, parents=True)
         (folder / names[0]).write_bytes(colour_bytes(frame, form))
         n_unheld += save_depth(folder / names[1], frame, UNITS_PER_METRE)
-        k = _intrinsics(enlarged_intrinsics(frame.intrinsics, form.colour_scale))
-        first = first or k
+        k = enlarged_intrinsics(frame.intrinsics, form.colour_scale)
+        said = {"w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy}
+        first = first or said
         pose = frame.world_from_camera.tolist()
-        own = {} if k == first else k
+        own = {} if said == first else said
         entries.append({"file_path": names[0], "depth_file_path": names[1], "transform_matrix": pose, **own})
     content = json.dumps({**first, "frames": entries}, allow_nan=False)
     folder.mkdir(exist_ok=True, parents=True)
     (folder / FILE).write_text(content, encoding="utf-8")
     return Written(len(entries), n_unheld)
-
-
-def _intrinsics(k: Intrinsics) -> dict[str, float]:
-    return {"w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy}

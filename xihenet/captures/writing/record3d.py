@@ -51,7 +51,8 @@ def write(path: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writte
                 if (frame.intrinsics.width, frame.intrinsics.height) != (size.width, size.height):
                     raise ValueError("Record3D: expected frames of one size")
                 poses.append(_row(np.linalg.inv(start) @ pose))
-                k.append(_k(enlarged_intrinsics(frame.intrinsics, form.colour_scale)))
+                large = enlarged_intrinsics(frame.intrinsics, form.colour_scale)
+                k.append([float(large.fx), float(large.fy), float(large.cx), float(large.cy)])
                 times_s.append(frame.time_s)
                 valid = valid_plane_depth(frame.plane_depth_m)
                 depth = np.where(valid, frame.plane_depth_m, np.float32(np.nan)).astype("<f4")
@@ -88,7 +89,3 @@ def _metadata(
 
 def _row(pose: ArrayF64) -> list[float]:
     return [*quaternion_of(pose[:3, :3]).tolist(), *pose[:3, 3].tolist()]
-
-
-def _k(k: Intrinsics) -> list[float]:
-    return [float(k.fx), float(k.fy), float(k.cx), float(k.cy)]
