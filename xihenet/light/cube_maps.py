@@ -35,20 +35,20 @@ _FINER = 8
 """Samples of the panorama along a texel's side, so that a lamp keeps its light."""
 
 
-def cube_levels(picture: ArrayF64, axes: ArrayF64 = Y_UP, side: int = SIDE) -> list[ArrayF64]:
-    """(6, S, S, 3) radiance of +X, -X, +Y, -Y, +Z, -Z, Y up, for S = `side`, and half of that for each further level.
+def cube_levels(picture: ArrayF64, axes: ArrayF64 = Y_UP) -> list[ArrayF64]:
+    """(6, S, S, 3) radiance of +X, -X, +Y, -Y, +Z, -Z, Y up, for S = `SIDE`, and half of that for each further level.
 
     `picture` is a panorama laid out as ours; `axes` are those of the cube, as of `Convention`.
     """
     height, width = picture.shape[:2]
-    x, y, z = np.moveaxis(_directions(_FINER * side) @ axes, -1, 0)
+    x, y, z = np.moveaxis(_directions(_FINER * SIDE) @ axes, -1, 0)
     row = np.clip((np.arccos(np.clip(z, -1, 1)) / np.pi * height).astype(int), 0, height - 1)
     column = ((0.75 - np.arctan2(y, x) / (2 * np.pi)) % 1 * width).astype(int) % width
     sharp = _coarser(picture[row, column], _FINER)
     source = _coarser(sharp, 2)
     # Of GGX, for which Babylon.js looks a level up.
-    alphas = [float(side ** (level / (N_LEVELS - 1) - 1)) for level in range(N_LEVELS)]
-    return [sharp, *(_blurred(source, side >> level, alphas[level]) for level in range(1, N_LEVELS))]
+    alphas = [float(SIDE ** (level / (N_LEVELS - 1) - 1)) for level in range(N_LEVELS)]
+    return [sharp, *(_blurred(source, SIDE >> level, alphas[level]) for level in range(1, N_LEVELS))]
 
 
 def encode_rgbd(radiance: ArrayF64) -> ArrayU8:
