@@ -75,8 +75,8 @@ def test_a_room_in_the_coordinates_of_a_map_looks_as_one_at_the_origin(origin_m)
 
 def test_points_behind_the_camera_are_not_in_view():
     intrinsics = Intrinsics(4, 4, 2.0, 2.0, 2.0, 2.0)
-    points = [[0, 0, -1], [0, 0, 1], [0.9, 0, -1], [1.1, 0, -1], [0, 0, 0], [np.nan, 0, -1]]
-    assert in_view(points, intrinsics, np.eye(4)).tolist() == [True, False, True, False, False, False]
+    points = [[0, 0, -1], [0, 0, 1], [0.9, 0, -1], [1.1, 0, -1], [0, 0, 0], [1, 0, 0], [np.nan, 0, -1]]
+    assert in_view(points, intrinsics, np.eye(4)).tolist() == [True, False, True, False, False, False, False]
 
 
 @pytest.mark.parametrize("seed", range(20))

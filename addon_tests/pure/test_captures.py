@@ -12,6 +12,7 @@ from addon_tests.pure.recordings import (
     LAYOUTS,
     LOSSY,
     SMALL,
+    TUM,
     as_nerfstudio,
     as_plain,
     as_tum,
@@ -65,6 +66,14 @@ def test_what_is_read_is_what_was_seen(recorded):
         np.testing.assert_allclose(read.world_from_camera[:3], turn @ made.world_from_camera[:3], atol=1e-5)
         assert vars(read.intrinsics) == pytest.approx(vars(made.intrinsics))
         assert read.time_s == pytest.approx(made.time_s, abs=1e-4)
+
+
+def test_pictures_of_tums_own_size_are_read_with_its_own_intrinsics(tmp_path):
+    (made,) = walk(TUM, 1)
+    (read,) = open_capture(as_tum(tmp_path, [made]))
+    assert not (tmp_path / "camera.json").exists()  # It stands beside other intrinsics than the benchmark's.
+    assert read.intrinsics == made.intrinsics and (read.srgb_u8 == made.srgb_u8).all()
+    np.testing.assert_allclose(read.plane_depth_m, made.plane_depth_m, atol=6e-4)
 
 
 def test_the_light_is_that_of_the_session_itself(tmp_path):

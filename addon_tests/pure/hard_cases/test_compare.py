@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from addon_tests.hard_case import Must, at_most, each, equal, near, refused, row, that
-from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
+from xihenet.metrics import angular_error_deg, image_rmse, psnr, shc_rmse, si_rmse, ssim
 
 STAGE = "compare"
 MASK = np.ones((8, 8))
@@ -65,13 +65,6 @@ def score(metric: str, name: str, prediction: Any, truth: Any, must: Must, naive
     return row(sentence, (prediction, truth, mask), lambda given: function(*given), must, naive or by_hand)
 
 
-def nan_outside(image: np.ndarray) -> np.ndarray:
-    """A picture whose left half is NaN."""
-    broken = image.copy()
-    broken[:, :4] = np.nan
-    return broken
-
-
 def rmse_of_samples(given: Given) -> float:
     return float(np.std(given[0] - given[1], ddof=1))
 
@@ -88,23 +81,17 @@ def angle_of_other_colours(given: Given) -> float:
     return angle_by_hand((given[0] + 1e-3, given[1] * [1, 1, 0.99], given[2]))
 
 
-RIGHT_HALF = np.repeat([0.0, 1.0], 4) * np.ones((8, 1))
 DARK_PIXEL, BRIGHT_PIXEL, ONE = np.full((1, 1, 3), 0.25), np.full((1, 1, 3), 0.75), np.ones((1, 1))
 YELLOW, YELLOW_DEG = GREY * [1, 1, 0], np.degrees(np.arctan2(1, np.sqrt(2)))
 HUE_DEG = np.degrees(1e-9 / 0.5 * np.sqrt(2) / 3)
 TEXTURE = 1e-9 * PICTURE
 NO_PIXELS, NO_MASK = np.zeros((0, 0, 3)), np.zeros((0, 0))
 MILLION, ALL = np.full((1000, 1000, 3), 0.1), np.ones((1000, 1000))
-HALF_GREY, HALF_DIM = nan_outside(GREY), nan_outside(GREY / 2)
 SI, ANGLE = "scale-invariant RMSE", "angular error"
 
 PICTURES = [
     *(score(m, "pictures under an empty mask is undefined", PICTURE, OTHER, UNDEFINED, mask=MASK * 0) for m in METRICS),
     *(score(m, "pictures without pixels is undefined", NO_PIXELS, NO_PIXELS, UNDEFINED, mask=NO_MASK) for m in METRICS),
-    *(
-        score(m, "pictures that are NaN outside the mask", HALF_GREY, HALF_DIM, near(value, 1e-6), mask=RIGHT_HALF)
-        for m, value in (("RMSE", 0.25), ("PSNR", 12.0412))
-    ),
     score("RMSE", "one pixel", DARK_PIXEL, BRIGHT_PIXEL, equal(0.5), rmse_of_samples, ONE),
     score("SSIM", "one pixel is that of its luminance alone", DARK_PIXEL, BRIGHT_PIXEL, near(0.6001, 1e-3), mask=ONE),
     score("SSIM", "equal constant pictures is exactly 1", GREY, GREY, equal(1.0)),
@@ -136,16 +123,6 @@ PICTURES = [
 ]
 
 
-def blacks(given: Given) -> tuple[int, int, int]:
-    found = angular_error(*given)
-    return found.n_pixels, found.n_black_prediction, found.n_black_truth
-
-
-def blacks_by_hand(given: Given) -> tuple[int, int, int]:
-    """Naive: an angle of NaN is an angle of 0, and no pixel is black."""
-    return given[0][..., 0].size, 0, 0
-
-
 def shc(given: tuple[Any, Any]) -> float:
     return shc_rmse(*given)
 
@@ -156,8 +133,6 @@ def shc_by_hand(given: tuple[Any, Any]) -> float:
 
 
 SH = np.ones((9, 3))
-HALF_BLACK = np.where(RIGHT_HALF[..., None] > 0, GREY, BLACK)
-COUNTS = {"a prediction": (GREY, (64, 32, 0)), "the truth, whatever the prediction,": (BLACK, (64, 0, 64))}
 NO_COEFFICIENTS = {
     "coefficients with NaN are refused with their number": ((SH * np.nan, SH), "got 27 NaN or infinite"),
     "coefficients of another order are not stretched": ((SH[:1], SH), "expected two equal shapes"),
@@ -166,10 +141,6 @@ NO_COEFFICIENTS = {
 FAR, NEAR = (SH * 1e200, SH * 0), (SH * 1e-200, SH * 0)
 CASES = [
     *PICTURES,
-    *(
-        row(f"black pixels of {whose} are counted", (HALF_BLACK, truth, MASK), blacks, equal(counts), blacks_by_hand)
-        for whose, (truth, counts) in COUNTS.items()
-    ),
     row("coefficients that differ by 1e200 have that error", FAR, shc, near(1e200, 1e186), shc_by_hand),
     row(
         "coefficients that hardly differ are not equal",

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from addon_tests.hard_case import each, equal, refused, row
-from xihenet.buffers import PositionBuffers, merge
+from xihenet.buffers import merge
 from xihenet.records import UnitSphereCloud
 
 STAGE = "merge"
@@ -77,29 +77,12 @@ def wide(distances: tuple[float, float]) -> list[UnitSphereCloud]:
     return [cloud_of(EVEN, distance_m=distances[0]), cloud_of(~EVEN, distance_m=distances[1])]
 
 
-def after_fires(n: int) -> np.ndarray:
-    """The persistent cloud after something was seen once and the trigger fired `n` times since."""
-    buffers = PositionBuffers.empty(N).with_frame(FIRST)
-    for _ in range(n):
-        buffers = buffers.fired()
-    return parts(buffers.persistent)
-
-
-def after_fires_forgetting(n: int) -> np.ndarray:
-    """Naive: the persistent cloud is replaced by the temporary one."""
-    persistent, temporary = UnitSphereCloud.empty(N), FIRST
-    for _ in range(n):
-        persistent, temporary = temporary, UnitSphereCloud.empty(N)
-    return parts(persistent)
-
-
 NOTHING = UnitSphereCloud.empty(N)
 BALL, WALL = cloud_of(ALL, 0.2, 1.0), cloud_of(ALL, 0.8, 5.0)
 LAMP, LAMP_OFF, AT_0_M = cloud_of(ALL, 1.0), cloud_of(ALL, 0.0), cloud_of(ALL, 0.2, 0.0)
 SKIPPED = UnitSphereCloud(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool), {"at_probe": 7})
 CASES = [
     row("clouds that share no anchor merge alike in any order", THIRDS, all_orders, equal(1), all_orders_averaged),
-    row("what was seen once outlives a thousand fires", 1000, after_fires, equal(parts(FIRST)), after_fires_forgetting),
     row("nothing merged with nothing is nothing", [NOTHING, NOTHING], lambda both: merged(both).sum(), equal(0.0)),
     row(
         "1e-45 m and 3e38 m stand side by side",
