@@ -3,7 +3,7 @@
 import pytest
 from addon_runs import lit_walk, registered_addon
 from previs_runs import IPAD, QuickPrevis, finished_run
-from tiny_scenes import room_with_a_virtual_sphere, saved
+from tiny_scenes import opened, room_with_a_virtual_sphere, saved
 
 from xihe_blender.capture.scanner import meter_exposure
 
@@ -54,6 +54,12 @@ def room_file(tmp_path_factory):
     """The file of a room with a ball, whose path has three frames."""
     room_with_a_virtual_sphere(3)
     return saved(tmp_path_factory.mktemp("room") / "room.blend")
+
+
+@pytest.fixture
+def scene(room_file):
+    """The scene of that file, which is open."""
+    return opened(room_file)
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 import bpy
 import numpy as np
 import pytest
-from addon_runs import registered_addon, walk_for_the_panel
+from addon_runs import walk_for_the_panel
 from previs_runs import counted_renders
 from scene_snapshot import nothing_changes
 from tiny_scenes import look_at, room_with_a_virtual_sphere
@@ -17,14 +17,9 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.frontier.calibrate import Calibration, calibrate, format_calibration, save_calibration
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 
+pytestmark = pytest.mark.usefixtures("addon")
 SMALL = PrevisSettings(size=(32, 24), exposure=1.0)
 KNOWN = Calibration("room", {"draft": 0.41, "balanced": 0.9, "accurate": 3.14}, {"draft": 1}, 1.5)
-
-
-@pytest.fixture(autouse=True)
-def addon():
-    with registered_addon():
-        yield
 
 
 def test_dearer_presets_take_no_less_and_the_scene_stays_as_it_is():

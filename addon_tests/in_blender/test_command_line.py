@@ -356,7 +356,6 @@ MISTAKES = {
         "--effect volumes=perhaps": "auto, on or off",
         "--effect noise": "NAME=on",
         "--effect hum=on": "hum ... rolling_shutter ... diffuse bounces ... network",
-        "--effect noise=loud": "loud ... auto, on or off",
         "--effect noise=on": "noise ... Perfect phone ... --phone",
         "--effect network=on": "--network",
         "--phone nokia_3310": "nokia_3310 ... ipad_pro_lidar",
@@ -365,10 +364,8 @@ MISTAKES = {
         "--cycles-device abacus": "ABACUS ... choose one of CPU",
     },
     "effects {folder}/walk.blend --plan-only ": {
-        "--effect volumes=perhaps": "auto, on or off",
         "--effect noise=on": "choose another --phone",
         "--effect smoke=on": "there is no effect",
-        "--effect volumes": "NAME=on",
         "--frames 1:9": "outside the scene's range",
         "--budget 0": "--budget",
     },

@@ -25,13 +25,18 @@ from xihe_blender.lab.workers.processes import EXIT_CRASHED, module_command
 pytestmark = pytest.mark.wheel_only("a whole Blender's Python has no Dask")
 
 
-@pytest.fixture(scope="module")
-def scheduler():
-    """The address of a scheduler with two workers in this process."""
+def cluster_here(n_workers=1, dashboard_address=None):
+    """A scheduler with workers in this process."""
     from distributed import LocalCluster
 
-    on_loopback = {"protocol": "tcp", "host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=False, **on_loopback) as cluster:
+    on_loopback = {"protocol": "tcp", "host": "127.0.0.1", "dashboard_address": dashboard_address}
+    return LocalCluster(n_workers=n_workers, threads_per_worker=1, processes=False, **on_loopback)
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    """The address of one with two workers."""
+    with cluster_here(2, "127.0.0.1:0") as cluster:
         yield cluster.scheduler_address
 
 
@@ -128,10 +133,7 @@ def test_a_dashboard_is_named_where_there_is_one(scheduler):
 
 
 def test_a_scheduler_that_was_started_without_a_dashboard_has_none():
-    from distributed import LocalCluster
-
-    bare = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
-    with LocalCluster(n_workers=1, **bare) as cluster, open_dask_workers(None, cluster.scheduler_address) as workers:
+    with cluster_here() as cluster, open_dask_workers(None, cluster.scheduler_address) as workers:
         assert dashboard(workers).startswith("no dashboard")
 
 
@@ -166,11 +168,8 @@ def test_a_whole_blender_which_has_no_package_knows_its_version(monkeypatch):
 
 
 def test_a_scheduler_that_is_lost_is_one_line_and_nothing_has_failed(scripts):
-    from distributed import LocalCluster
-
     (scripts / "waits.py").write_text("import time; time.sleep(0.3)")
-    bare = {"processes": False, "protocol": "tcp", "host": "127.0.0.1", "dashboard_address": None}
-    with LocalCluster(n_workers=1, **bare) as cluster, open_dask_workers(None, cluster.scheduler_address) as workers:
+    with cluster_here() as cluster, open_dask_workers(None, cluster.scheduler_address) as workers:
         job = workers.run([asked("waits", "1"), asked("waits", "2")], "piece of work")
         next(job)
         (to_us,) = cluster.scheduler.client_comms.values()

@@ -32,11 +32,6 @@ from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path
 from xihenet.walk.looks import LookSettings
 
 
-@pytest.fixture
-def scene(room_file):
-    return opened(room_file)
-
-
 def looked(scene, out, settings=CAPTURED, wishes=None):
     return run_blocking(better_path(scene, out, settings, wishes or LookWishes(), blend_file=out.parent / "room.blend"))
 

@@ -3,6 +3,7 @@
 import shutil
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -204,30 +205,25 @@ def test_estimates_that_are_lost_never_light_anything(finished):
             assert np.array_equal(session.light(name, entry["time_s"]), session.ambient_sh)
 
 
-def test_a_run_goes_on_however_its_objects_and_its_trigger_are_named(tmp_path):
+def made(scene, **named):
+    """What a run with such settings is made of."""
+    settings = replace(SMALL, **named)
+    return made_of("a run", scene, Path("no.blend"), settings, plan_previs(scene, settings))
+
+
+def test_a_run_goes_on_however_its_objects_and_its_trigger_are_named():
     scene = walk(2)
     scene.objects["Ball"].name = "Caf\u00e9"
-
-    def made(**named):
-        settings = replace(SMALL, **named)
-        return made_of("a run", scene, tmp_path / "no.blend", settings, plan_previs(scene, settings))
-
-    assert made(objects=("Caf\u00e9",)) == made(objects=("Cafe\u0301",), trigger=RULES["split"])
-    assert made(objects=("Caf\u00e9",)) != made()
+    assert made(scene, objects=("Caf\u00e9",)) == made(scene, objects=("Cafe\u0301",), trigger=RULES["split"])
+    assert made(scene, objects=("Caf\u00e9",)) != made(scene)
 
 
 def test_a_run_goes_on_where_a_phone_of_the_users_own_was_moved_and_not_where_it_changed(tmp_path):
-    scene = walk(2)
-
-    def made(file):
-        settings = replace(SMALL, phone=str(file))
-        return made_of("a run", scene, tmp_path / "no.blend", settings, plan_previs(scene, settings))
-
-    cheap = tmp_path / "cheap.toml"
+    scene, cheap = walk(2), tmp_path / "cheap.toml"
     cheap.write_text('name = "Cheap"\nsummary = "none"\nmetering = "key"\n')
-    before = made(cheap)
+    before = made(scene, phone=str(cheap))
     (tmp_path / "moved").mkdir()
     moved = cheap.rename(tmp_path / "moved" / "cheap.toml")
-    assert made(moved) == before
+    assert made(scene, phone=str(moved)) == before
     moved.write_text(moved.read_text().replace("key", "highlights"))
-    assert made(moved) != before
+    assert made(scene, phone=str(moved)) != before

@@ -22,11 +22,6 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 FEW = PlacementSettings(spacing_m=0.5)
 
 
-@pytest.fixture
-def scene(room_file):
-    return opened(room_file)
-
-
 def mapped(scene, out, settings=CAPTURED, wanted=FEW):
     return run_blocking(placement(scene, out, settings, wanted, blend_file=out.parent / "room.blend"))
 

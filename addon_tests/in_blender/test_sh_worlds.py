@@ -119,24 +119,20 @@ def test_each_method_lights_each_object_with_its_own_light():
     assert not [c for c in bpy.data.collections if c.name.startswith("Xihe Lit")]
 
 
-def hide_in_renders(scene, collection):
-    collection.hide_render = True
-
-
-def leave_out_of_the_layer(scene, collection):
-    exclude_collection(scene.view_layers[0].layer_collection, collection)
-
-
-def hold_out(scene, collection):
-    scene.view_layers[0].layer_collection.children[collection.name].holdout = True
-
-
 def add_what_the_run_is_not_of(scene, collection):
     add_lamp(scene, location=(0, 0, 1), energy=1000.0, collection=collection)
     sphere(scene, "In front", (0, 0, 1), 0.4, material("Glow", emission=5.0), collection)
 
 
-@pytest.mark.parametrize("change", [hide_in_renders, leave_out_of_the_layer, hold_out, add_what_the_run_is_not_of])
+CHANGES = {
+    "hidden in renders": lambda _, virtual: setattr(virtual, "hide_render", True),
+    "left out of the layer": lambda scene, virtual: exclude_collection(scene.view_layers[0].layer_collection, virtual),
+    "held out": lambda scene, _: setattr(scene.view_layers[0].layer_collection.children[0], "holdout", True),
+    "more than the run is of": add_what_the_run_is_not_of,
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_the_ground_truth_shows_the_objects_of_the_run_and_no_others(change):
     pictures = []
     for has_changed in (False, True):

@@ -122,9 +122,10 @@ class Window:
         """What the button under the mouse in the sidebar does: "xihe.run()", "scenes[...].xihe.seed", or nothing."""
         clipboard = bpy.context.window_manager
         with self.context():
-            for ask in (bpy.ops.ui.copy_python_command_button, _copy_path):
+            command, path = bpy.ops.ui.copy_python_command_button, bpy.ops.ui.copy_data_path_button
+            for ask, options in ((command, {}), (path, {"full_path": True})):
                 clipboard.clipboard = ""
-                if ask.poll() and ask() == {"FINISHED"}:
+                if ask.poll() and ask(**options) == {"FINISHED"}:
                     return clipboard.clipboard.removeprefix("bpy.ops.").removeprefix("bpy.data.")
         return ""
 
@@ -171,20 +172,6 @@ class Window:
             assert waited < at_most_s, f"waited {at_most_s:.0f} s for this: {what}"
             yield 0.1
             waited += 0.1
-
-
-class _CopyPath:
-    """`ui.copy_data_path_button` with the full path."""
-
-    def poll(self) -> bool:
-        return bool(bpy.ops.ui.copy_data_path_button.poll())
-
-    def __call__(self) -> set[str]:
-        answer: set[str] = bpy.ops.ui.copy_data_path_button(full_path=True)
-        return answer
-
-
-_copy_path = _CopyPath()
 
 
 def _xdotool(*words: str) -> None:

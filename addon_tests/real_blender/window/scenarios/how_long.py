@@ -1,16 +1,11 @@
 """The time of a run, measured by a click; and another, which would see nothing, is refused at once."""
 
 import bpy
-from rooms import look_through_camera, make_runs_short, room_to_light
+from rooms import look_through_camera, make_runs_short, room_with_a_virtual_ball
 
 
 def prepare():
-    from xihe_blender.scene.virtual_objects import virtual_collection
-
-    scene = room_to_light()
-    ball = bpy.data.objects["Ball"]
-    scene.collection.objects.unlink(ball)
-    virtual_collection(scene, create=True).objects.link(ball)
+    room_with_a_virtual_ball(frame_end=3)
 
 
 def scenario(w):
