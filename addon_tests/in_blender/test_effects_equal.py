@@ -6,7 +6,6 @@ otherwise, they are not, and the statistic decides. With fixed seeds the outcome
 notice is tested as well: the effects that a scene does call for are switched off one by one.
 """
 
-import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -30,20 +29,14 @@ def pictures_of(scene, *plans, samples=4):
     settings = RenderSettings((32, 24), samples, denoise=False)
     found = []
     for plan in plans:  # One after the other: whenever Cycles turns to another scene it takes that in anew.
-        with _working(scene, settings, plan) as working:
+        with working_scene(scene, "Equal", replace(settings, light_transport=cycles_settings(plan))) as working:
+            working.render.threads_mode, working.render.threads = "FIXED", 1
+            working.frame_set((scene.frame_start + scene.frame_end) // 2)
             found.append([])
             for seed in range(N_SEEDS):
                 working.cycles.seed = seed
                 found[-1].append(first_layer(render_passes(working))[0])
     return [np.array(pictures) for pictures in found]
-
-
-@contextlib.contextmanager
-def _working(scene, settings, plan):
-    with working_scene(scene, "Equal", replace(settings, light_transport=cycles_settings(plan))) as working:
-        working.render.threads_mode, working.render.threads = "FIXED", 1
-        working.frame_set((scene.frame_start + scene.frame_end) // 2)
-        yield working
 
 
 def against_everything_on(make_scene, overrides=None):
@@ -79,7 +72,8 @@ def test_in_a_closed_bright_room_the_plan_cuts_no_bounce_that_shows_and_two_are_
     scene = bright_room(albedo)
     required = required_effects(scene)
     plan = everything_on(scene, required)
-    full, planned, cut = pictures_of(scene, plan, plan_effects(required, {}), with_bounces(plan, 2), samples=8)
+    two = plan | {"diffuse bounces": replace(plan["diffuse bounces"], parameters={"diffuse_bounces": 2})}
+    full, planned, cut = pictures_of(scene, plan, plan_effects(required, {}), two, samples=8)
     found = agreement(full, planned)
     assert found.holds and abs(found.relative_difference) < 2e-3, found
     missed = agreement(full, cut)
@@ -91,8 +85,3 @@ def test_on_open_ground_two_bounces_are_enough():
     assert plan_light_transport(scene)["diffuse bounces"].parameters == {"diffuse_bounces": 2}
     found = against_everything_on(open_field)
     assert found.holds, found
-
-
-def with_bounces(plan, bounces):
-    """A plan with another number of diffuse bounces."""
-    return {**plan, "diffuse bounces": replace(plan["diffuse bounces"], parameters={"diffuse_bounces": bounces})}

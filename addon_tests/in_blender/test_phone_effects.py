@@ -125,36 +125,25 @@ def test_a_single_frame_of_a_walk_is_not_taken_for_a_still_camera(tmp_path):
     assert np.linalg.norm(phone.chosen.survey.frames[2].motion.velocity_m_per_s) == pytest.approx(0.3 * 24, rel=0.05)
 
 
-def _driven_lamp(scene):
-    add_lamp(scene).data.driver_add("energy").driver.expression = "frame * 10"
+SKY = 'worlds["Background"].node_tree.nodes["Background"].inputs["Color"]'
+LIGHTS = {
+    "switched off": ('objects["Lamp"]', "hide_render", {1: False, 2: True}),
+    "carried away": ('objects["Lamp"]', "location", {1: (1.9, 1, 1.6), 3: (1.9, 3, 1.6)}),
+    "another sky": (SKY, "default_value", {1: (0.1, 0.1, 0.1, 1.0), 3: (0.3, 0.3, 0.3, 1.0)}),
+}
+"""What is keyed, from bpy.data on, and its values by frame."""
 
 
-def _switched_off(scene):
-    key(bpy.data.objects["Lamp"], "hide_render", {1: False, 2: True})
-
-
-def _carried_away(scene):
-    key(bpy.data.objects["Lamp"], "location", {1: (1.9, 1, 1.6), 3: (1.9, 3, 1.6)})
-
-
-def _sky_changes(scene):
-    colour = node_of(scene.world, "BACKGROUND").inputs["Color"]
-    key(colour, "default_value", {1: (0.1, 0.1, 0.1, 1.0), 3: (0.3, 0.3, 0.3, 1.0)})
-
-
-def _a_virtual_lamp_changes(scene):
-    """As an instance of a collection, and by itself; the captures show neither."""
-    lamps = bpy.data.collections.new("Lamps")
-    lamp = add_lamp(scene, collection=lamps)
-    lamp.data.driver_add("energy").driver.expression = "frame * 10"
-    add_instance(scene, lamps, virtual_collection(scene))
-    add(scene, "Torch", lamp.data, collection=virtual_collection(scene))
-
-
-@pytest.mark.parametrize("change", [_driven_lamp, _switched_off, _carried_away, _sky_changes])
-def test_a_light_that_changes_is_noticed(change):
+@pytest.mark.parametrize(("path", "name", "values"), LIGHTS.values(), ids=LIGHTS)
+def test_a_light_that_changes_is_noticed(path, name, values):
     scene = room_with_a_virtual_sphere()
-    change(scene)
+    key(bpy.data.path_resolve(path), name, values)
+    assert before_captures(scene, IPAD).chosen.survey.light_changes
+
+
+def test_a_lamp_that_is_driven_is_noticed():
+    scene = room_with_a_virtual_sphere()
+    add_lamp(scene).data.driver_add("energy").driver.expression = "frame * 10"
     assert before_captures(scene, IPAD).chosen.survey.light_changes
 
 
@@ -168,7 +157,12 @@ def test_the_light_sensor_is_simulated_where_a_light_changes(tmp_path):
 
 def test_the_light_sensor_is_left_out_where_no_light_changes(tmp_path):
     scene = room_with_a_virtual_sphere()
-    _a_virtual_lamp_changes(scene)
+    # A virtual lamp, as an instance of a collection and by itself: the captures show neither.
+    lamps = bpy.data.collections.new("Lamps")
+    lamp = add_lamp(scene, collection=lamps)
+    lamp.data.driver_add("energy").driver.expression = "frame * 10"
+    add_instance(scene, lamps, virtual_collection(scene))
+    add(scene, "Torch", lamp.data, collection=virtual_collection(scene))
     key(bpy.data.objects["Table"], "location", {1: (0, 0.1, 0.7), 3: (0, 0.3, 0.7)})
     phone, captured, files = planned(scene, tmp_path, IPAD)
     assert state(phone, "light_sensor") == "off"

@@ -118,10 +118,6 @@ def lights_in(scene, plan, settings, frame, samples, seeds):
     return np.array(captures)
 
 
-def relative_error(lights, reference):
-    return np.sqrt(((lights - reference) ** 2).sum(axis=(-1, -2)).mean() / (reference**2).sum(axis=(-1, -2)).mean())
-
-
 @pytest.mark.slow
 def test_the_noise_is_what_was_expected_and_within_the_target():
     scene = one_thread(room_with_a_virtual_sphere(24, is_still=True))
@@ -132,7 +128,7 @@ def test_the_noise_is_what_was_expected_and_within_the_target():
     lights = lights_in(scene, plan, settings, 8, sample_count.capture_samples, range(100, 106))
     reference = lights_in(scene, plan, settings, 8, 64, range(200, 202)).mean(axis=0)
     assert sample_count.capture_noise <= 0.05
-    error = relative_error(lights, reference)
+    error = np.sqrt(((lights - reference) ** 2).sum(axis=(-1, -2)).mean() / (reference**2).sum(axis=(-1, -2)).mean())
     assert sample_count.capture_noise / TOLERANCE < error < TOLERANCE * sample_count.capture_noise
 
 

@@ -80,12 +80,8 @@ def known(*changes):
 def lit(n_positions=1):
     """A plausible light at so many positions."""
     says = "a finite light of at most white" + ("" if n_positions == 1 else f" at {n_positions} positions")
-    return Must(says, lambda came: came.is_plausible and len(came.lights) == n_positions and is_clipped(came))
-
-
-def is_clipped(came):
-    """Whether the light is one that a session at its own exposure believes in, not scene radiance."""
-    return bool(came.said)
+    # What a session believes in, at its own exposure, comes with notes; scene radiance has none.
+    return Must(says, lambda came: came.is_plausible and len(came.lights) == n_positions and bool(came.said))
 
 
 def says(words, *, n=0):
@@ -111,8 +107,8 @@ def same_light(says, *changes, within=1e-9):
 
 def refused(words):
     """A UserError of one line that says `words`."""
-    return Must(f"refused: {words}", functools.partial(_is_refused, words), is_refusal=True)
 
+    def holds(error):
+        return isinstance(error, UserError) and "\n" not in str(error) and words in str(error)
 
-def _is_refused(words, error):
-    return isinstance(error, UserError) and "\n" not in str(error) and words in str(error)
+    return Must(f"refused: {words}", holds, is_refusal=True)
