@@ -98,17 +98,23 @@ def test_objects_are_gltf_and_stay_where_they_are(done):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("typed", "words"),
     [
-        (("--frame", "1"), "leave out --frame"),
-        (("--all",), "leave out --all"),
-        (("--units", "scene"), "leave out --units"),
-        (("--objects", "Nobody"), "no virtual object 'Nobody'"),
-        (("--from", "nowhere.blend"), "there is no nowhere.blend"),
+        ("RUN --to viewer --frame 1", "leave out --frame"),
+        ("RUN --to viewer --all", "leave out --all"),
+        ("RUN --to viewer --units scene", "leave out --units"),
+        ("RUN --to viewer --objects Nobody", "no virtual object 'Nobody'"),
+        ("RUN --to viewer --from nowhere.blend", "there is no nowhere.blend"),
+        ("--to three", "give either RESULTS.json or --from"),
+        ("--to three --from nowhere.blend", "nowhere.blend"),
+        ("--to three --from LIT --objects Nobody", "has no lit virtual object 'Nobody'; it has B"),
+        ("--to three --from LIT --light sh", "--light does not apply to a file: leave it out"),
     ],
 )
-def test_what_cannot_be_shown_is_one_line(done, tmp_path, arguments, words):
-    assert_refused(xihe_here("export", done[0], "--to", "viewer", "--out", tmp_path, *arguments), words)
+def test_what_cannot_be_shown_or_is_not_in_a_file_is_one_line(done, tmp_path, typed, words):
+    paths = {"RUN": done[0], "LIT": next(done[0].glob("*_lit.blend"))}
+    arguments = (paths.get(word, word) for word in typed.split())
+    assert_refused(xihe_here("export", *arguments, "--out", tmp_path), words)
     assert not list(tmp_path.iterdir())
 
 
@@ -268,19 +274,3 @@ def test_an_object_that_was_moved_is_exported_with_the_light_of_its_new_place(do
         assert bpy.ops.xihe.export_light(target="three") == {"FINISHED"}
     ball = next(one for one in lights(folder / "exports" / "three") if one["object"] == "Ball")
     np.testing.assert_allclose(np.reshape(ball["sh"], (9, 3))[0], (0.3, 0.2, 0.1), atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "give either RESULTS.json or --from"),
-        (("--from", "nowhere.blend"), "nowhere.blend"),
-        (("--from", "LIT", "--objects", "Nobody"), "has no lit virtual object 'Nobody'; it has B"),
-        (("--from", "LIT", "--light", "sh"), "--light does not apply to a file: leave it out"),
-    ],
-)
-def test_what_a_file_does_not_have_is_one_line(done, tmp_path, arguments, words):
-    lit = str(next(done[0].glob("*_lit.blend")))
-    typed = [lit if one == "LIT" else one for one in arguments]
-    assert_refused(xihe_here("export", *typed, "--to", "three", "--out", tmp_path), words)
-    assert not list(tmp_path.iterdir())
