@@ -405,6 +405,14 @@ def test_a_stereo_scene_is_shown_as_the_phones_one_picture(ran):
     assert not show_lit(scene, ran.out).render.use_multiview and scene.render.use_multiview
 
 
+@pytest.mark.parametrize(("place", "name"), [("//", ""), ("//renders/", "shot_####"), ("C:\\renders\\", "film.mp4")])
+def test_what_it_renders_leaves_the_users_pictures_alone(ran, place, name):
+    scene = opened(ran.out / "after.blend")
+    scene.render.filepath = place + name
+    lit = show_lit(scene, ran.out)
+    assert (scene.render.filepath, lit.render.filepath) == (place + name, f"{place}xihe_lit_{name}")
+
+
 def test_a_larger_picture_is_opaque_and_as_bright_along_its_rim_as_inside_and_a_wider_one_its_middle(shown, tmp_path):
     shown.cycles.samples = 1
     lit = rendered_picture(shown, tmp_path, "RGBA")

@@ -6,6 +6,7 @@ over the captured frames.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -29,6 +30,9 @@ from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.state import copied_scene, remove_copied_scene
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.walk.surfaces import Surface
+
+OUTPUT_PREFIX = "xihe_lit_"
+"""Of the files that the lit scene renders: those of the room stay."""
 
 LIFTED_M = 0.003
 """Of a catcher: copies of the room's own surfaces hold out what is behind them, and it must not be."""
@@ -66,6 +70,8 @@ def make_lit_scene(
     bring_lamps(lit)
     leave_compositor(lit)
     lit.world = next(iter(worlds.values()))
+    name = re.split(r"[/\\]", lit.render.filepath)[-1]
+    lit.render.filepath = f"{lit.render.filepath.removesuffix(name)}{OUTPUT_PREFIX}{name}"
     lit.render.engine, lit.render.use_multiview = "CYCLES", False  # A phone takes one picture, not one for each eye.
     # Denoised as the report's pictures are. A build without the denoiser would refuse to render with it.
     lit.cycles.use_denoising = can_denoise(lit) and lit.cycles.use_denoising
