@@ -2,6 +2,7 @@
 
 import json
 import unicodedata
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +12,12 @@ from addon_tests.pure.broken_recordings import FORMATS
 from addon_tests.pure.recordings import (
     LAYOUTS,
     LOSSY,
+    PACKED,
     SMALL,
     TUM,
     as_nerfstudio,
     as_plain,
+    as_record3d,
     as_tum,
     doubted,
     layouts,
@@ -186,6 +189,14 @@ def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):
     assert main(["replay", str(tmp_path), "--at", "0,0,0", "--out", str(tmp_path / "out"), "--every", "2"]) == 0
     replayed = read_strictly((tmp_path / "out" / "replay.json").read_text())["frames"]
     assert [one["frame"] for one in replayed] == [1, 4, 6]
+
+
+@PACKED
+def test_an_unpacked_r3d_file_is_told_to_be_given_as_it_was(tmp_path):
+    with zipfile.ZipFile(as_record3d(tmp_path, walk(SMALL, 1))) as file:
+        file.extractall(tmp_path / "unpacked")
+    with pytest.raises(ValueError, match=r"unpacked is an unpacked \.r3d file: give that file, or a zip of"):
+        open_capture(tmp_path / "unpacked")
 
 
 @pytest.mark.parametrize("name", layouts(["Record3D", "Nerfstudio"]))

@@ -39,13 +39,15 @@ LEVEL = 1e-4  # No hand holds a camera so nearly along the axes of the world: th
 
 def is_in(path: Path) -> bool:
     if not path.is_file():
-        return False
+        return (path / METADATA).is_file() and (path / "rgbd").is_dir()
     with path.open("rb") as file:
         return file.read(2) == MAGIC or path.suffix.lower() == SUFFIX
 
 
 def read(path: Path, up: str | None) -> Capture:
     """As of `xihenet.captures.open_capture`; ImportError without the package lzfse, where the floor is looked for."""
+    if path.is_dir():
+        raise ValueError(f"{path} is an unpacked {SUFFIX} file: give that file, or a zip of what is in the folder")
     archive = open_archive(path)
     content = _metadata(archive)
     try:
