@@ -12,11 +12,13 @@ from previs_runs import CAPTURED, counted_renders, files_below, look_away, run, 
 from scene_snapshot import nothing_changes
 from tiny_scenes import opened
 
+from addon_tests.pure.recordings import SMALL, walk
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.placement_results import PlacementResults
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.placement import PlacementSettings, placement
+from xihe_blender.previs.room_from_above import RoomFromAbove
 from xihe_blender.scene.virtual_objects import virtual_objects
 
 FEW = PlacementSettings(spacing_m=0.5)
@@ -130,3 +132,10 @@ def test_a_report_of_somebody_else_is_left_alone(scene, out):
     with pytest.raises(UserError, match=r"report\.html is there and not from a placement map"):
         mapped(scene, out)
     assert (out / "report.html").read_text() == "mine" and len(list(out.iterdir())) == 1
+
+
+def test_the_room_from_above_has_a_bar_of_a_metre():
+    room = RoomFromAbove(walk(SMALL, 1), np.zeros((1, 3)), 0.9, lambda _, srgb: 0 * srgb)
+    room.metre()
+    (row,) = {int(y) for y in np.argwhere((room.picture == 255).all(axis=2))[:1, 0]}
+    assert (room.picture[row] == 255).all(axis=1).sum() == int(room.pixels_per_m) == round(720 / 1.8)

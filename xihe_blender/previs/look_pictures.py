@@ -36,6 +36,7 @@ def write_above(folder: Path, frames: Sequence[RgbdFrame], results: LookResults)
     for one in results.objects:
         if one.look is not None:
             _arrow(room, one.look)
+    room.metre()
     write_picture(path, room.picture.round().astype(np.uint8))
     return path
 

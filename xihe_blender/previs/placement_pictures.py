@@ -30,8 +30,6 @@ AROUND_M = 0.4
 BEST_RING, WORST_RING, RING_PX = 255.0, 0.0, 10
 """Grey, and the radius, of the rings around the ten best and the ten worst places in the picture from above."""
 
-EDGE_PX = 14
-
 SURFACE_M = 0.1
 """A point so far above or below a place is of another surface."""
 
@@ -105,7 +103,7 @@ def _from_above(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
     for ends, grey in ((painter.best, BEST_RING), (painter.worst, WORST_RING)):
         for x, y in zip(*room.pixels(positions[ends]), strict=True):
             _draw_ring(room.picture, x, y, grey)
-    _draw_metre(room.picture, room.pixels_per_m)
+    room.metre()
     return room.picture.round().astype(np.uint8)
 
 
@@ -114,13 +112,6 @@ def _draw_ring(picture: ArrayF64, x: int, y: int, grey: float) -> None:
     away = np.hypot(rows - y, columns - x)
     picture[np.abs(away - RING_PX) < 3.5] = 255 - grey
     picture[np.abs(away - RING_PX) < 2] = grey
-
-
-def _draw_metre(picture: ArrayF64, scale: float) -> None:
-    """A bar of a metre at the lower left, white with a black rim."""
-    bottom, length = picture.shape[0] - EDGE_PX, int(scale)
-    picture[bottom - 8 : bottom, EDGE_PX - 3 : EDGE_PX + length + 3] = 0.0
-    picture[bottom - 6 : bottom - 2, EDGE_PX : EDGE_PX + length] = 255.0
 
 
 def _through_camera(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:

@@ -14,6 +14,7 @@ from xihenet.camera import unproject_frame
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt, RgbdFrame
 
 WIDTH_PX, HEIGHT_PX = 960, 720
+EDGE_PX = 14
 PIXELS_A_POINT = 3
 """Across: points lie sparser than its pixels."""
 
@@ -70,6 +71,12 @@ class RoomFromAbove:
         (x,), (y,) = self.pixels(place[None])
         rows, columns = np.ogrid[: self.height, : self.width]
         self.picture[(rows - y) ** 2 + (columns - x) ** 2 <= radius**2] = colour
+
+    def metre(self) -> None:
+        """A bar of a metre at the lower left, white with a black rim."""
+        bottom, length = self.height - EDGE_PX, int(self.pixels_per_m)
+        self.picture[bottom - 8 : bottom, EDGE_PX - 3 : EDGE_PX + length + 3] = 0.0
+        self.picture[bottom - 6 : bottom - 2, EDGE_PX : EDGE_PX + length] = 255.0
 
     def line(self, first: ArrayF64, last: ArrayF64, colour: ArrayLike, width: int) -> None:
         n = max(2, int(2 * self.pixels_per_m * np.linalg.norm((last - first)[:2])))

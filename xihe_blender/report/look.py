@@ -12,7 +12,7 @@ from xihenet.formats import format_count, format_percent
 
 ABOVE = (
     "<p>White: the phone's path. Blue: where light is estimated. An orange arrow starts where the phone should stand "
-    "and points where it should look; one that is short points up or down.</p>"
+    "and points where it should look; one that is short points up or down. The bar is a metre.</p>"
 )
 
 
