@@ -24,7 +24,7 @@ import numpy as np
 from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth, valid_plane_depth
 from xihenet.io import exr, openexr_package
 from xihenet.io.image_files import read_colour, read_plane_depth
-from xihenet.io.json_files import number_in, read_json, side_in
+from xihenet.io.json_files import named, number_in, read_json, side_in
 from xihenet.io.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.phone.metering import metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
@@ -121,13 +121,11 @@ def read_camera(path: Path) -> FrameCamera:
     the pose is no rotation and translation.
     """
     content = read_json(path)
-    try:
+    with named(path):
         intrinsics, is_opencv, up = camera_facts(content, CAMERA_KEYS)
         if "world_from_camera" not in content:
             raise ValueError("world_from_camera is missing")
         return frame_camera(intrinsics, content["world_from_camera"], is_opencv=is_opencv, up=up)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def camera_facts(content: Any, keys: Collection[str]) -> tuple[Intrinsics, bool, str]:

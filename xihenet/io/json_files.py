@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,15 @@ def read_json(path: Path) -> Any:
         raise ValueError(f"{path}: expected JSON in UTF-8, which this is not: save it in that encoding") from None
     except ValueError as error:
         raise ValueError(f"{path}: expected JSON, and could not read it ({error})") from None
+
+
+@contextmanager
+def named(source: object) -> Iterator[None]:
+    """A ValueError of the block begins with the file, or the part of one, that it is about."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
 
 
 def number_in(values: Mapping[str, Any], name: str, default: float | None = None) -> float:

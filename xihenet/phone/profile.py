@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xihenet.effects import Requirement
+from xihenet.io.json_files import named
 from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
 from xihenet.phone.exposure import AutoExposure, FrameRate
 from xihenet.phone.holes import DarkHoles, GlossyHoles, GrazingHoles, SpanHoles, TransparentHoles
@@ -109,10 +110,8 @@ def load_profile(name_or_path: str | Path) -> PhoneProfile:
         raise ValueError(f"{path}: this is no TOML file ({error})") from None
     except RecursionError:
         raise ValueError(f"{path}: this is no TOML file (its brackets are nested too deeply)") from None
-    try:
+    with named(path):
         return _profile_from_tables(tables)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
 
 
 def _profile_from_tables(tables: dict[str, object]) -> PhoneProfile:

@@ -13,7 +13,7 @@ from typing import Any
 from xihenet.captures.capture import Capture, inside
 from xihenet.captures.reading.phone_frame import left_out, picture_frame
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
-from xihenet.io.json_files import number_in, read_json, side_in
+from xihenet.io.json_files import named, number_in, read_json, side_in
 from xihenet.records import Intrinsics
 
 FILE = "transforms.json"
@@ -41,14 +41,12 @@ def read(folder: Path, up: str | None) -> Capture:
         raise ValueError(f"{path}: applied_scale: expected a positive number, got {applied_scale:g}")
     frames = []
     for number, entry in enumerate(entries, start=1):
-        try:
+        with named(f"{path}, frame {number}"):
             colour, plane_depth = _files(folder, entry)
             if plane_depth is None:
                 continue
             camera = frame_camera(_intrinsics({**content, **entry}), entry.get("transform_matrix"), up=up)
             camera.world_from_camera[:3, 3] /= applied_scale
-        except ValueError as error:
-            raise ValueError(f"{path}, frame {number}: {error}") from error
         frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, 1e-3))
     if not frames:
         raise ValueError(

@@ -20,6 +20,7 @@ from xihenet.formats import format_count
 from xihenet.invalid import counted
 from xihenet.io.frame_files import FrameCamera, intrinsics_for
 from xihenet.io.image_files import read_colour, read_grey, read_plane_depth, shrunk_colour
+from xihenet.io.json_files import named
 from xihenet.io.picture_size import MOST_POINTS, check_size, picked_pixels
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, RgbdFrame
 
@@ -126,10 +127,8 @@ def phone_frame(colour: Path, of_colour: bytes | ArrayU8 | None, depth: Measured
         srgb_u8 = shrunk_colour(colour, of_colour, depth.source, depth.field, height, width)
     else:
         srgb_u8 = read_colour(colour, depth.source, depth.field, height, width, of_colour)
-    try:
+    with named(depth.source):
         intrinsics = intrinsics_for(camera.intrinsics, depth.field, width, height)
-    except ValueError as error:
-        raise ValueError(f"{depth.source}: {error}") from error
     plane_depth_m, invalid = sound_plane_depth(depth.plane_depth_m)
     if depth.confidence is not None:
         is_doubted = valid_plane_depth(plane_depth_m) & (depth.confidence == 0)

@@ -23,7 +23,7 @@ from xihenet.captures.capture import Capture
 from xihenet.captures.reading.phone_frame import left_out, picture_frame, without_confidence
 from xihenet.captures.reading.values import FARTHEST_M, notes_on_times, numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, camera_facts, frame_camera
-from xihenet.io.json_files import number_in, read_json
+from xihenet.io.json_files import named, number_in, read_json
 from xihenet.records import ArrayF64
 
 FILE, LINES = "camera.json", "poses.txt"
@@ -38,7 +38,7 @@ def is_in(folder: Path) -> bool:
 def read(folder: Path, up: str | None) -> Capture:
     """As of `xihenet.captures.open_capture`."""
     content = read_json(folder / FILE)
-    try:
+    with named(folder / FILE):
         intrinsics, is_opencv, said_up = camera_facts(content, KEYS)
         metres_per_unit, fps = (
             number_in(content, "metres_per_unit", 1e-3),
@@ -46,18 +46,14 @@ def read(folder: Path, up: str | None) -> Capture:
         )
         if not (1e-9 < metres_per_unit < 1e3 and 1e-6 < fps < 1e6):
             raise ValueError("metres_per_unit and frames_per_second: expected positive numbers")
-    except ValueError as error:
-        raise ValueError(f"{folder / FILE}: {error}") from error
     colours, depths = _images(folder / "colour"), {path.stem: path for path in _images(folder / "depth")}
     poses, times_s = _poses(folder, colours)
     frames, are_sure = [], []
     for i, (colour, pose) in enumerate(zip(colours, poses, strict=True)):
         if pose is None or colour.stem not in depths:
             continue
-        try:
+        with named(f"{folder}, pose of {colour.name}"):
             camera = frame_camera(intrinsics, pose.tolist(), is_opencv=is_opencv, up=up or said_up)
-        except ValueError as error:
-            raise ValueError(f"{folder}, pose of {colour.name}: {error}") from error
         time_s = i / fps if times_s is None else float(times_s[i] - times_s[0])
         confidence = folder / "confidence" / f"{colour.stem}.png"
         are_sure.append(confidence.is_file())
@@ -102,10 +98,8 @@ def _poses(folder: Path, colours: Sequence[Path]) -> tuple[list[ArrayF64 | None]
         return [_matrix(line, path) for line in lines], None
     rows = [pose_numbers(line, 8, str(path)) for line in lines]
     times_s = np.concatenate([numbers(line[:1], 1, str(path)) for line in lines])
-    try:
+    with named(path):
         return [None if row is None else pose_of(row[1:4], row[4:]) for row in rows], times_s
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _matrix(words: list[str], path: Path) -> ArrayF64 | None:

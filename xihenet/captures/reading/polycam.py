@@ -16,7 +16,7 @@ from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.reading.phone_frame import left_out, picture_frame, without_confidence
 from xihenet.captures.reading.values import FARTHEST_M
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
-from xihenet.io.json_files import number_in, read_json, side_in
+from xihenet.io.json_files import named, number_in, read_json, side_in
 from xihenet.records import Intrinsics
 
 METRES_PER_UNIT, SECONDS_PER_UNIT = 1e-3, 1e-6
@@ -63,7 +63,7 @@ def read(folder: Path, up: str | None) -> Capture:
 
 def _camera(path: Path, up: str) -> FrameCamera:
     content = read_json(path)
-    try:
+    with named(path):
         if not isinstance(content, dict):
             raise ValueError("expected a JSON object")
         k = (number_in(content, name) for name in ("fx", "fy", "cx", "cy"))
@@ -72,5 +72,3 @@ def _camera(path: Path, up: str) -> FrameCamera:
         if np.abs(rows).max() > FARTHEST_M:
             raise ValueError(f"expected a place within {FARTHEST_M:g} m of the origin")
         return frame_camera(intrinsics, [*rows, [0, 0, 0, 1]], up=up)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error

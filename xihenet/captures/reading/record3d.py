@@ -25,7 +25,7 @@ from xihenet.captures.reading.lzfse_files import unpack_lzfse
 from xihenet.captures.reading.phone_frame import confidence_levels, left_out, measured, phone_frame, without_confidence
 from xihenet.captures.reading.values import notes_on_times, numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
-from xihenet.io.json_files import number_in, parse_json, side_in
+from xihenet.io.json_files import named, number_in, parse_json, side_in
 from xihenet.io.picture_size import MOST_PIXELS, same_field
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
@@ -50,7 +50,7 @@ def read(path: Path, up: str | None) -> Capture:
         raise ValueError(f"{path} is an unpacked {SUFFIX} file: give that file, or a zip of what is in the folder")
     archive = open_archive(path)
     content = _metadata(archive)
-    try:
+    with named(f"{path}, {METADATA}"):
         size, depth_size, notes = _sizes(content)
         n_said, poses, k, times_s = _by_frame(content, size)
         start = np.eye(4)
@@ -64,8 +64,6 @@ def read(path: Path, up: str | None) -> Capture:
             None if pose is None else frame_camera(one, (start @ pose).tolist(), up=assumed)
             for one, pose in zip(intrinsics, poses, strict=True)
         ]
-    except ValueError as error:
-        raise ValueError(f"{path}, {METADATA}: {error}") from error
     numbers_of = sorted(int(found[1]) for name in archive.members if (found := NAME.fullmatch(name)))
     there = {
         n: camera

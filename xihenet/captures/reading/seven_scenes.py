@@ -15,6 +15,7 @@ from xihenet.captures.capture import Capture
 from xihenet.captures.floor import upright
 from xihenet.captures.reading.phone_frame import left_out, picture_frame
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.io.json_files import named
 from xihenet.records import Intrinsics
 
 NAME = re.compile(r"frame-(\d+)\.pose\.txt")
@@ -35,15 +36,13 @@ def read(folder: Path, up: str | None) -> Capture:
         colour, plane_depth = (folder / f"{stem}.{kind}.png" for kind in ("color", "depth"))
         if not (colour.is_file() and plane_depth.is_file()):
             continue
-        try:
+        with named(path):
             rows = [
                 [float(text) for text in line.split()]
                 for line in path.read_text(encoding="utf-8-sig").splitlines()
                 if line.strip()
             ]
             camera = frame_camera(INTRINSICS, rows, is_opencv=True, up=up or "-y")
-        except (ValueError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: {error}") from error
         frames.append(picture_frame(number, (number - first) / FPS, camera, colour, plane_depth, 1e-3))
     if not frames:
         raise ValueError(

@@ -27,6 +27,7 @@ from xihenet.captures.reading.values import notes_on_times, numbers, pose_of
 from xihenet.captures.reading.video import Video
 from xihenet.formats import format_count
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
+from xihenet.io.json_files import named
 from xihenet.io.picture_size import check_size
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
@@ -53,13 +54,11 @@ def read(folder: Path, up: str | None) -> Capture:
         plane_depth = _depth_file(folder, number)
         if plane_depth is None or number >= video.n_frames:
             continue
-        try:
+        with named(f"{folder / ODOMETRY}, frame {number}"):
             k = row[9:] if of_all is None else of_all
             pose = pose_of(row[2:5], row[5:9]).tolist()
             intrinsics = Intrinsics(video.width, video.height, *k.tolist())
             camera = frame_camera(intrinsics, pose, is_opencv=True, up=up)
-        except ValueError as error:
-            raise ValueError(f"{folder / ODOMETRY}, frame {number}: {error}") from error
         load = partial(_load, folder, number, plane_depth, camera, video)
         frames.append(CapturedFrame(number, float(row[0] - rows[0][0]), camera, load))
     if not frames:

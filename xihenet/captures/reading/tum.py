@@ -18,7 +18,7 @@ from xihenet.captures.capture import Capture, inside
 from xihenet.captures.reading.phone_frame import left_out, picture_frame
 from xihenet.captures.reading.values import numbers, of_length_1, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
-from xihenet.io.json_files import read_json
+from xihenet.io.json_files import named, read_json
 from xihenet.records import ArrayF64, Intrinsics
 
 FILES = ("rgb.txt", "depth.txt", "groundtruth.txt")
@@ -68,10 +68,8 @@ def _intrinsics(path: Path) -> tuple[Intrinsics, tuple[str, ...]]:
     if not path.is_file():
         return INTRINSICS, ("Intrinsics are those that the benchmark takes for all of its cameras.",)
     content = read_json(path)
-    try:
+    with named(path):
         return camera_facts(content, CAMERA_KEYS)[0], ()
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:

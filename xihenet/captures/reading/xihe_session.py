@@ -10,6 +10,7 @@ from pathlib import Path
 from xihenet.captures.capture import Capture, CapturedFrame, inside
 from xihenet.formats import format_count
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
+from xihenet.io.json_files import named
 from xihenet.io.recording import FRAME_FILES, SESSION_FILE, load_frame, read_header, read_session
 
 FORMAT_NAME = "Xihe session"
@@ -50,8 +51,6 @@ def _gaps(paths: Sequence[Path]) -> tuple[str, ...]:
 
 def _frame(path: Path) -> CapturedFrame:
     header = read_header(path)
-    try:
+    with named(path):
         camera = frame_camera(header.intrinsics, header.world_from_camera.tolist())
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     return CapturedFrame(header.frame, header.time_s, camera, partial(load_frame, path))
