@@ -6,8 +6,11 @@ import re
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 
 from xihe_blender.cli.main import main
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def xihe_here(*arguments):
@@ -24,6 +27,12 @@ def xihe_here(*arguments):
             stream.flush()
         texts = [(file.seek(0), file.read())[1] for file in (out, err)]
     return subprocess.CompletedProcess(arguments, code, *texts)
+
+
+def fresh_python(code, *arguments, check=True):
+    """What came of `code` in a Python of its own, in which warnings are errors."""
+    command = [sys.executable, "-W", "error", "-c", code, *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60, check=check)
 
 
 def assert_refused(done, *words, after_progress=False):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from addon_tests.pure.made import pose_of
 from xihenet.captures.reading.values import quaternion_of
 from xihenet.captures.writing import nerfstudio, record3d, stray, tum
 from xihenet.captures.writing.pictures import Form, confidence_of, enlarged, enlarged_intrinsics, in_y_up, save_depth
@@ -22,9 +23,7 @@ def looking(azimuth, pitch, place):
     forward = np.array([np.cos(azimuth) * np.cos(pitch), np.sin(azimuth) * np.cos(pitch), np.sin(pitch)])
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3] = np.stack([right, np.cross(right, forward), -forward, np.array(place)], axis=1)
-    return pose
+    return pose_of(np.stack([right, np.cross(right, forward), -forward], axis=1), place)
 
 
 def seen(intrinsics, pose, number=1, time_s=0.0):

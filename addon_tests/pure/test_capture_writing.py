@@ -2,11 +2,8 @@
 
 import csv
 import json
-import subprocess
-import sys
 import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,14 +11,13 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from addon_tests.pure import made
+from addon_tests.pure.commands import fresh_python
 from addon_tests.pure.recordings import PACKED, SMALL, TUM, UPRIGHT, VIDEO, doubted, walk
 from xihenet.camera import unproject_frame
 from xihenet.captures import open_capture
 from xihenet.captures.writing import WRITERS, nerfstudio, record3d, stray, tum
 from xihenet.captures.writing.pictures import Form
 from xihenet.records import Intrinsics
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def points_of(depth_m, fx, fy, cx, cy, pose, looks_down_z):
@@ -179,7 +175,7 @@ def test_without_their_packages_the_extra_to_install_is_named(tmp_path):
         f"print(*(main(['replay', path, '--at', '0,0,0', '--out', {str(tmp_path / 'out')!r}])"
         f" for path in {[str(tmp_path / 's'), str(tmp_path / 'a.r3d')]}))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    done = fresh_python(code)
     lines = done.stderr.splitlines()
     assert done.stdout.split() == ["2", "2"] and len(lines) == 2
     assert all("pip install 'xihe-blender[captures]'" in line for line in lines)

@@ -395,10 +395,7 @@ def test_bytes_that_were_changed_are_refused_or_a_legal_position(seed, at, put, 
     assert_equal(position_from_bytes(position_to_bytes(seen)), seen)
 
 
-NOT_FINITE = [np.nan, np.inf, -np.inf]
-
-
-@pytest.mark.parametrize("value", NOT_FINITE)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_number_that_is_not_finite_is_refused(value):
     rng = np.random.default_rng(1)
     seen = made_position(rng, 9)

@@ -4,12 +4,11 @@ import json
 import shlex
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from addon_tests.pure.commands import assert_refused, xihe_here
+from addon_tests.pure.commands import ROOT, assert_refused, fresh_python, xihe_here
 from addon_tests.pure.frame_makers import box_radiance_and_plane_depth, write_camera, write_exr, write_image
 from xihe_blender.cli.main import main
 from xihenet import __version__, estimators, sh
@@ -21,7 +20,6 @@ from xihenet.light.light_picture import light_picture
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 
-ROOT = Path(__file__).resolve().parents[2]
 RADIANCE, PLANE_DEPTH_M = box_radiance_and_plane_depth()
 COLOUR, MILLIMETRES = encode_exposed(RADIANCE, 1), np.rint(PLANE_DEPTH_M * 1000).astype(np.uint16)
 AT = "0,2,-0.3"
@@ -35,13 +33,11 @@ WITHOUT_BLENDER = (
 
 def xihe_without_blender(*arguments):
     """The command in a process in which importing bpy fails, and in which warnings are errors."""
-    code = [sys.executable, "-W", "error", "-c", WITHOUT_BLENDER, "estimate", *map(str, arguments)]
-    return subprocess.run(code, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    return fresh_python(WITHOUT_BLENDER, *arguments, check=False)
 
 
 def test_without_blender_a_command_that_needs_it_says_what_to_install():
-    code = WITHOUT_BLENDER.replace("sys.argv[1:]", "['previs', 'a.blend', '--out', 'b']")
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = xihe_without_blender("previs", "a.blend", "--out", "b")
     assert_refused(done, "pip install 'xihe-blender[blender]'", "3.11 or 3.13")
 
 
@@ -91,14 +87,14 @@ def images(folder):
 
 
 def test_it_runs_where_blender_is_not_installed_and_json_is_all_that_stdout_holds(exr):
-    done = xihe_without_blender(*exr, "--at", AT, "--json")
+    done = xihe_without_blender("estimate", *exr, "--at", AT, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     content = read_strictly(done.stdout)
     assert content["positions"][0]["is_valid"]
 
 
 def test_without_blender_a_mistake_is_one_line_and_exit_2(folder):
-    done = xihe_without_blender(folder / "none.exr", "--camera", folder / "camera.json", "--at", AT)
+    done = xihe_without_blender("estimate", folder / "none.exr", "--camera", folder / "camera.json", "--at", AT)
     assert_refused(done, "xihe: cannot read")
 
 

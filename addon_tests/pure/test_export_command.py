@@ -1,15 +1,13 @@
 """`xihe export` as a user types it, and the files that it writes, read by others where there is someone."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 from addon_tests.pure.commands import assert_refused, xihe_here
 from addon_tests.pure.runs import content, frame, probe
-from addon_tests.pure.test_estimate_command import ROOT, WITHOUT_BLENDER, read_strictly
+from addon_tests.pure.test_estimate_command import read_strictly, xihe_without_blender
 from xihe_blender.cli.main import main
 from xihenet.io.exr import write_exr
 from xihenet.light.environments import (
@@ -34,6 +32,7 @@ from xihenet.records import KeyLight, ObjectLight
 EXPOSURE = 1.7
 SH = np.random.default_rng(1).normal(size=(9, 3)) * 0.1 + np.eye(9)[0][:, None]
 KEY = {"direction": [0.0, -0.6, 0.8], "irradiance": [2.0, 1.0, 0.5], "angular_radius": 0.1, "is_seen": True}
+KEY_LIGHT = KeyLight(np.array(KEY["direction"]), np.array(KEY["irradiance"]), 0.1, True)
 
 
 def light_from(number, **changes):
@@ -64,8 +63,7 @@ def written(run, target):
 
 
 def test_it_needs_no_blender(run):
-    code = [sys.executable, "-W", "error", "-c", WITHOUT_BLENDER, "export", str(run / "results.json"), "--to", "three"]
-    done = subprocess.run(code, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = xihe_without_blender("export", run / "results.json", "--to", "three")
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
     assert str(run / "exports" / "three" / "three.json") in done.stdout
 
@@ -75,8 +73,7 @@ def test_the_light_in_use_is_written_as_the_platform_has_it(run):
     ball, vase = written(run, "three")["lights"]
     assert (ball["object"], ball["frame"], vase["object"], vase["frame"]) == ("Ball", 3, "My Vase", 2)
     assert ball["mainLight"]["direction"] == pytest.approx([0, 0.8, 0.6]) and vase["mainLight"] is None
-    key = KeyLight(*(np.array(KEY[part]) for part in ("direction", "irradiance")), 0.1, True)
-    rest = ObjectLight(SH * 3, key)
+    rest = ObjectLight(SH * 3, KEY_LIGHT)
     expected = export_files([NamedLight("Ball", 3, 0, rest)], "three")
     assert ball["sh"] == json.loads(expected["three.json"])["lights"][0]["sh"]
 
@@ -189,8 +186,7 @@ def test_two_lights_of_one_object_and_frame_and_no_light_are_refused():
 
 @pytest.mark.parametrize("platform", PLATFORMS)
 def test_every_file_is_written_for_a_light_with_all_its_parts(platform):
-    key = KeyLight(*(np.array(KEY[part]) for part in ("direction", "irradiance")), 0.1, True)
-    light = NamedLight("Ball", 3, 0.0, ObjectLight(SH, key), np.ones((8, 16, 3)))
+    light = NamedLight("Ball", 3, 0.0, ObjectLight(SH, KEY_LIGHT), np.ones((8, 16, 3)))
     files = export_files([light], platform)
     entry = read_strictly(files[f"{platform}.json"].decode())["lights"][0]
     assert {entry[part] for part in ("environment", "reflections") if part in entry} <= files.keys()

@@ -2,9 +2,7 @@
 
 import json
 import struct
-import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from addon_tests.pure.commands import fresh_python
 from addon_tests.pure.frame_makers import (
     HEIGHT,
     INTRINSICS,
@@ -34,7 +33,6 @@ from xihenet.io.frame_files import read_camera, read_frame
 from xihenet.io.image_files import area_averaged
 from xihenet.phone.metering import KEY_LUMINANCE
 
-ROOT = Path(__file__).resolve().parents[2]
 RADIANCE, PLANE_DEPTH_M = box_radiance_and_plane_depth()
 MILLIMETRES = np.rint(PLANE_DEPTH_M * 1000).astype(np.uint16)
 
@@ -340,7 +338,7 @@ def test_without_pillow_the_extra_to_install_is_named(tmp_path):
         f"try: read_frame(colour, read_camera(Path({str(camera)!r})), plane_depth=colour)\n"
         "except ImportError as error: print(error)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    done = fresh_python(code)
     assert "xihe-blender[images]" in done.stdout
 
 
@@ -411,7 +409,7 @@ def test_a_photo_of_24_megapixels_takes_little_memory(tmp_path):
         "assert (read('photo.png').srgb_u8 == 90).all()\n"
         "print(Path('/proc/self/status').read_text().split('VmHWM:')[1].split()[0])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    done = fresh_python(code)
     # Not resource.getrusage: after a fork its peak is that of this process.
     assert int(done.stdout) < 300_000
 

@@ -4,16 +4,14 @@ import ast
 import functools
 import importlib
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import xihenet
+from addon_tests.pure.commands import ROOT, fresh_python
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = {"errors", "io", "scene"}
 RENDERED = {*SCENE, "jobs", "capture", "light_transport"}
 JOB = {*RENDERED, "apply", "compare", "footage", "report"}
@@ -163,9 +161,7 @@ def test_only_the_edge_servers_requests_know_tornado():
     knows = {path.name for path in ROOT.glob("xihe*/**/*.py") if "tornado" in packages(path)}
     assert knows == {"requests.py"}
     imports = "import sys, xihenet.edge.client, xihenet.edge.service, xihe_blender.cli.serve"
-    code = f"{imports}; print('tornado' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert done.stdout.strip() == "False"
+    assert fresh_python(f"{imports}; print('tornado' in sys.modules)").stdout == "False\n"
 
 
 def test_only_what_spreads_the_work_knows_dask():
@@ -189,12 +185,6 @@ def test_the_report_never_asks_for_blender():
 # ---------------------------------------------------------------------------------------------- what an import brings
 
 
-def said_by_python(code: str) -> str:
-    """What a fresh Python prints."""
-    command = [sys.executable, "-W", "error", "-c", code]
-    return subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout.strip()
-
-
 @pytest.mark.parametrize(
     ("code", "heavy"),
     [
@@ -214,18 +204,19 @@ def said_by_python(code: str) -> str:
     ],
 )
 def test_an_import_brings_nothing_heavy(code, heavy):
-    assert said_by_python(f"import sys; {code}; print({heavy} & {{m.split('.')[0] for m in sys.modules}})") == "set()"
+    found = f"{heavy} & {{m.split('.')[0] for m in sys.modules}}"
+    assert fresh_python(f"import sys; {code}; print({found})").stdout == "set()\n"
 
 
 def test_importing_xihenet_imports_nothing():
     code = "import sys, xihenet; print(sorted(m for m in sys.modules if m == 'numpy' or m.startswith('xihenet')))"
-    assert said_by_python(code) == "['xihenet']"
+    assert fresh_python(code).stdout == "['xihenet']\n"
 
 
 def test_a_session_runs_where_there_is_no_blender():
     script, room = "docs/session_without_blender.py", "addon_tests/data/test_rooms/room_000033.npz"
     code = f"import sys, runpy; sys.modules['bpy'] = None; runpy.run_path('{script}')['main']('{room}')"
-    assert said_by_python(code).count("seen, mean radiance") == 2
+    assert fresh_python(code).stdout.count("seen, mean radiance") == 2
 
 
 def test_the_public_names_are_what_type_checkers_are_told():

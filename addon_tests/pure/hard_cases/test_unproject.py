@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from addon_tests.hard_case import at_most, each, equal, near, refused, row, that
+from addon_tests.pure.made import pose_of
 from xihenet.camera import project_points, unproject_frame
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -20,9 +21,7 @@ def turned(axis: str, degrees: float) -> np.ndarray:
 
 
 def posed(axes: np.ndarray, place_m: Any = PLACE_M) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes, place_m
-    return pose
+    return pose_of(axes, place_m)
 
 
 def unscaled(axes: np.ndarray) -> np.ndarray:
