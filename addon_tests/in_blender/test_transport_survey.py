@@ -60,7 +60,8 @@ def test_glass_out_of_every_view_but_in_a_mirror_counts():
     assert state(scene, "transmission") == "on"
 
 
-def test_hidden_in_the_viewport_is_not_hidden_in_renders():
+def test_an_object_counts_where_a_ray_of_a_render_may_meet_it():
+    """Also hidden in the viewport, or held out; not where it is hidden in renders, or from all kinds of rays."""
     scene = with_ball(glass)
     item = bpy.data.objects["Ball"]
     item.hide_viewport = True
@@ -68,6 +69,13 @@ def test_hidden_in_the_viewport_is_not_hidden_in_renders():
     assert state(scene, "transmission") == "on"
     item.hide_viewport, item.hide_render = False, True
     assert state(scene, "transmission") == "off"
+    item.hide_render, item.is_holdout = False, True
+    assert state(scene, "transmission") == "on"
+    for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
+        setattr(item, f"visible_{ray}", False)
+    assert state(scene, "transmission") == "off"
+    item.visible_glossy = True
+    assert state(scene, "transmission") == "on"
 
 
 def test_what_is_in_an_excluded_collection_is_left_out():
@@ -78,22 +86,6 @@ def test_what_is_in_an_excluded_collection_is_left_out():
     assert state(scene, "transmission") == "on"
     scene.view_layers[0].layer_collection.children["Store"].exclude = True
     assert state(scene, "transmission") == "off"
-
-
-def test_a_holdout_is_still_seen_by_other_surfaces():
-    scene = with_ball(glass)
-    bpy.data.objects["Ball"].is_holdout = True
-    assert state(scene, "transmission") == "on"
-
-
-def test_an_object_that_no_ray_meets_is_left_out():
-    scene = with_ball(glass)
-    item = bpy.data.objects["Ball"]
-    for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
-        setattr(item, f"visible_{ray}", False)
-    assert state(scene, "transmission") == "off"
-    item.visible_glossy = True
-    assert state(scene, "transmission") == "on"
 
 
 @pytest.mark.parametrize("is_subdivided", [False, True])

@@ -325,7 +325,7 @@ def test_the_rig_is_three_spheres_that_rest_on_the_place(scene):
         assert sphere.data.materials[0].name == sphere.name
 
 
-def test_the_rig_has_the_three_usual_surfaces(scene):
+def test_the_rig_has_the_three_usual_surfaces_and_a_second_one_shares_them(scene):
     mirror, silver, grey = (
         sphere.data.materials[0].node_tree.nodes["Principled BSDF"].inputs
         for sphere in add_three_sphere_rig(scene, (0, 0, 0))
@@ -335,10 +335,6 @@ def test_the_rig_has_the_three_usual_surfaces(scene):
     assert silver["Roughness"].default_value == pytest.approx(0.3271)
     assert (grey["Metallic"].default_value, grey["Specular IOR Level"].default_value) == (0.0, 0.0)
     assert tuple(grey["Base Color"].default_value)[:3] == (0.5, 0.5, 0.5)
-
-
-def test_a_second_rig_shares_the_materials(scene):
-    add_three_sphere_rig(scene, (0, 0, 0))
     add_three_sphere_rig(scene, (1, 0, 0))
     assert len(virtual_objects(scene)) == 6
     assert len(bpy.data.materials) == 3
