@@ -7,14 +7,14 @@ import bpy
 import numpy as np
 import pytest
 from addon_runs import enable_preferences, poll_message, registered_addon, small_panel_runs, walk_for_the_panel
-from previs_runs import walk
+from previs_runs import counted_renders, walk
 from scene_snapshot import snapshot
 from tiny_scenes import add, box, empty_scene, memberships, room_with_a_virtual_sphere
 
 from addon_tests.pure.test_old_runs import FIRST, SECOND, THIRD, make_run
 from xihe_blender.addon.planning_operators import known_times
 from xihe_blender.addon.preferences import own_folder, runs_folder
-from xihe_blender.addon.run_settings import previs_settings
+from xihe_blender.addon.run_settings import previs_settings, required_effects
 from xihe_blender.addon.runs_folder import new_run_folder
 from xihe_blender.io.old_runs import old_runs, runs_in
 from xihe_blender.jobs import run_blocking
@@ -128,6 +128,13 @@ def test_the_rows_of_effects_are_those_of_the_command_line():
     assert bpy.ops.xihe.plan_effects() == {"FINISHED"}
     effects = assert_rows_are_those_of_a_run(scene, frames=(2, 3, 4))
     assert [row.reason for row in scene.xihe.effects] == [effect.reason for effect in effects.values()]
+
+
+def test_effects_are_looked_for_a_frame_at_a_time():
+    scene = walk()
+    with counted_renders() as looks:
+        seen = [len(looks) for _ in required_effects(scene)]
+    assert seen[:3] == [0, 1, 2]
 
 
 def test_an_override_is_kept_in_the_file_and_outlasts_another_look():

@@ -8,7 +8,6 @@ from typing import Any
 import bpy
 
 from xihe_blender.addon import polls
-from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob, edge_server_asked
 from xihe_blender.addon.preferences import chosen_folder, own_folder
 from xihe_blender.jobs import Job
@@ -34,25 +33,29 @@ OF_TIME = (
 """Settings on which the time of a run depends."""
 
 
-class XIHE_OT_plan_effects(Action, bpy.types.Operator):
+class XIHE_OT_plan_effects(polls.Conditional, ModalJob, bpy.types.Operator):
     bl_idname = "xihe.plan_effects"
     bl_label = "Plan Effects"
     bl_description = "List the lighting and phone effects that the scene needs, and why; nothing is rendered"
     bl_options = {"REGISTER", "UNDO"}
+    cancelled = "Nothing was planned"
     conditions = (polls.is_idle, polls.is_room, polls.has_cycles)
 
-    def act(self, context: bpy.types.Context) -> None:
+    def start_job(self, context: bpy.types.Context) -> Job[Any]:
         from xihe_blender.addon.run_settings import required_effects
+
+        return required_effects(context.scene)
+
+    def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
         from xihe_blender.light_transport.overrides import remembered_overrides
 
-        scene = context.scene
-        required, remembered = required_effects(scene), remembered_overrides(scene)
-        rows = scene.xihe.effects
+        rows, remembered = self.scene.xihe.effects, remembered_overrides(self.scene)
         rows.clear()
-        for name, effect in required.items():
+        for name, effect in result.items():
             row = rows.add()
             row.name, row.required, row.reason = name, effect.state, effect.reason
             row.is_switchable, row.override = effect.is_switchable, remembered.get(name, "auto").upper()
+        return {"FINISHED"}
 
 
 def timed(scene: bpy.types.Scene) -> str:

@@ -21,7 +21,7 @@ from xihe_blender.apply.reflection_pictures import light_called_for
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults
-from xihe_blender.jobs import Job, run_blocking
+from xihe_blender.jobs import Job
 from xihe_blender.light_transport.overrides import remember_overrides, remembered_overrides
 from xihe_blender.previs.plan import captured_size, planned_frames
 from xihe_blender.previs.previs import previs
@@ -148,10 +148,10 @@ def _phone(scene: bpy.types.Scene) -> str:
     return str(bpy.path.abspath(file))
 
 
-def required_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
-    """What `scene` itself requires, whatever the user has chosen; nothing is rendered.
+def required_effects(scene: bpy.types.Scene) -> Job[dict[str, Effect]]:
+    """A job: what `scene` itself requires, whatever the user has chosen; nothing is rendered.
 
     An effect of the phone that only captures could rule out is on; the run rules it out.
     """
     settings = replace(previs_settings(scene), effect_choices=dict.fromkeys(remembered_overrides(scene), "auto"))
-    return run_blocking(effects_of_run(scene, settings, is_measured=False))
+    return effects_of_run(scene, settings, is_measured=False)

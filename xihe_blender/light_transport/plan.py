@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import bpy
 
 from xihe_blender.capture.render import RenderSettings, can_denoise, working_scene
+from xihe_blender.jobs import Job, Progress, run_blocking
 from xihe_blender.light_transport.enclosure import MAX_BOUNCES
 from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.rules import RULES, SceneFacts
@@ -19,7 +20,14 @@ BOUNCES = ("diffuse_bounces", "glossy_bounces", "transmission_bounces", "volume_
 def required_effects(
     scene: bpy.types.Scene, positions: Sequence[Sequence[float]] = (), *, frames: Sequence[int] | None = None
 ) -> dict[str, Requirement]:
-    """What `scene`, room and virtual objects, itself requires, effect by effect; it stays as it is.
+    """What `scene` requires; see `look_for_effects`."""
+    return run_blocking(look_for_effects(scene, positions, frames=frames))
+
+
+def look_for_effects(
+    scene: bpy.types.Scene, positions: Sequence[Sequence[float]] = (), *, frames: Sequence[int] | None = None
+) -> Job[dict[str, Requirement]]:
+    """A job: what `scene`, room and virtual objects, itself requires, effect by effect; it stays as it is.
 
     `positions` are as in `TransportSurveyor`; each of `frames` is judged, None takes the scene's range.
     """
@@ -27,6 +35,7 @@ def required_effects(
     surveyor = TransportSurveyor(list(chosen), positions)
     with open_inspection(scene) as inspection:
         for frame in chosen:
+            yield Progress(0, 1, "looking at the scene")
             inspection.look_at(frame, surveyor.look_at)
         survey = surveyor.ended(inspection, has_motion_blur=scene.render.use_motion_blur)
     return required_by_survey(scene, survey)

@@ -20,7 +20,7 @@ from xihe_blender.capture.scanner import first_layer, open_scanner
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.light_transport.costs import measure_costs
 from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.light_transport.plan import required_effects
+from xihe_blender.light_transport.plan import look_for_effects
 from xihe_blender.previs.plan import PrevisPlan, Probe, captured_size, planned_frames
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.simulated_phone import (
@@ -64,9 +64,8 @@ def effects_of_run(
     """
     frames = planned_frames(scene, settings.frames)
     choices = overrides_in_force(scene, settings.effect_choices)
-    yield Progress(0, 1, "looking at the scene")
     positions = positions_in(scene, frames[0])
-    required = required_effects(scene, positions, frames=frames)
+    required = yield from look_for_effects(scene, positions, frames=frames)
     of_phone = yield from plan_phone_effects(scene, positions, settings, is_captured=is_measured)
     effects = plan_effects(required, choices) | of_phone
     if on_planned is not None:
