@@ -233,7 +233,7 @@ def test_while_a_run_lasts_in_the_background_the_results_of_the_one_before_are_a
     job = bpy.context.window_manager.xihe
     job.is_running, job.works_here = True, False
     reading = ("export_light", "go_to_trigger", "save_side_by_side", "save_viewer", "show_comparison")
-    said = {name: poll_message(getattr(bpy.ops.xihe, name)) for name in (*reading, "show_lit")}
+    said = {name: poll_message(getattr(bpy.ops.xihe, name)) for name in (*reading, "show_lit", "show_room")}
     assert [name for name in said if "under way" in said[name]] == ["show_lit"]
 
 

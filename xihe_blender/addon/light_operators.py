@@ -75,7 +75,7 @@ class XIHE_OT_show_room(polls.Conditional, bpy.types.Operator):
     bl_label = "Back to Room"
     bl_description = "Go back to the room's scene"
     bl_options = {"REGISTER", "UNDO"}
-    conditions = (polls.is_idle, polls.is_lit_scene)
+    conditions = (polls.leaves_the_file, polls.is_lit_scene)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         from xihe_blender.apply.lit_scene import keep_added
