@@ -58,6 +58,12 @@ def test_no_page_has_marks_of_a_merge(page):
     assert not re.findall(r"^(?:<{7}|={7}$|>{7}).*", page.read_text(encoding="utf-8"), re.MULTILINE)
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_line_of_a_paragraph_begins_as_a_quotation(page):
+    """As "**Camera Path > Whole Path**" does where its line ends before the mark."""
+    assert not re.findall(r"^ *[^ >\n].*\n *> ", page.read_text(encoding="utf-8"), re.MULTILINE)
+
+
 def test_the_readme_is_short():
     assert len(README.split()) <= MOST_WORDS
 
