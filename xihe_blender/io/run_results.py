@@ -412,8 +412,8 @@ class RunResults:
 
     @property
     def captured_frames(self) -> list[FrameResult]:
-        """Those that the phone took in."""
-        return [frame for frame in self.frames if frame.captured]
+        """Those that the phone took in, of results from before it took in more than active ones as well."""
+        return [frame for frame in self.frames if frame.captured or frame.active]
 
     @property
     def compared_frames(self) -> dict[int, ComparedFrame]:
