@@ -219,8 +219,9 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
 def _preparation(study: SceneStudy) -> Job[Json]:
     """What `kept_preparation` reads."""
     scene, plan = study.scene, study.plan
-    metering, looking = meter_exposure(scene, plan.frames, study.settings.seed), "metering the exposure"
-    exposure = yield from shown(metering, lambda _: Progress(0, 1, f"{looking}, looking for effects"))
+    step = Progress(0, 1, "metering the exposure, looking for effects")
+    yield step
+    exposure = yield from shown(meter_exposure(scene, plan.frames, study.settings.seed), lambda _: step)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
     if not pilot_views(plan, study.survey):
         words = "never has a virtual object in view: move the camera's path, or objects"
