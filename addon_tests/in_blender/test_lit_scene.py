@@ -16,7 +16,7 @@ from scene_snapshot import data_blocks, differences, nothing_changes, snapshot
 from shown_lights import keyed, shown_light
 from tiny_scenes import box, material, opened, room_with_a_virtual_sphere, saved, sphere
 
-from xihe_blender.addon import leftovers
+from xihe_blender.addon import leftovers, light_operators
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.addon.run_settings import choices_of_run, choose_as_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
@@ -634,3 +634,19 @@ def test_the_buttons_go_there_and_back(ran):
             assert bpy.ops.xihe.show_room() == {"FINISHED"}
             assert bpy.context.window.view_layer == shown
         assert bpy.context.scene.name == "Scene"
+
+
+def test_a_view_is_put_back_as_it_was_and_as_far_as_an_earlier_version_noted_it():
+    bpy.ops.wm.read_factory_settings()
+    area = next(area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D")
+    space, view = area.spaces.active, area.spaces.active.region_3d
+    at_m = view.view_location = (1.0, 2.0, 3.0)
+    noted = light_operators._show_rendered(area)
+    assert (space.shading.type, view.view_perspective) == ("RENDERED", "CAMERA")
+    for before in (noted, "SOLID PERSP show_floor"):
+        view.view_location = (0.0, 0.0, 0.0)
+        light_operators._put_back(area, before)
+        assert (space.shading.type, view.view_perspective, space.overlay.show_floor) == ("SOLID", "PERSP", True)
+        assert tuple(view.view_location) == (at_m if before == noted else (0.0, 0.0, 0.0))
+    light_operators._views.clear()
+    light_operators._showed.clear()

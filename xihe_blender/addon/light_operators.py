@@ -143,8 +143,8 @@ def _put_back(area: bpy.types.Area, before: str) -> None:
     space, view = area.spaces.active, area.spaces.active.region_3d
     space.shading.type, view.view_perspective, *shown = before.split()
     place = [float(word) for word in shown if not word.startswith("show_")]
-    # Through a camera, Blender forgets from where the view looked before.
-    if view.view_perspective != "CAMERA":
+    # Through a camera, Blender forgets from where the view looked before; a file of an earlier version holds none.
+    if place and view.view_perspective != "CAMERA":
         view.view_rotation, view.view_location, view.view_distance = place[:4], place[4:7], place[7]
     for line in FLOOR:
         setattr(space.overlay, line, line in shown)
