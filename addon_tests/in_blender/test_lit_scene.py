@@ -638,7 +638,7 @@ def test_the_buttons_go_there_and_back(ran):
 
 def test_a_view_is_put_back_as_it_was_and_as_far_as_an_earlier_version_noted_it():
     bpy.ops.wm.read_factory_settings()
-    area = next(area for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D")
+    area = next(area for area in bpy.data.screens["Layout"].areas if area.type == "VIEW_3D")
     space, view = area.spaces.active, area.spaces.active.region_3d
     at_m = view.view_location = (1.0, 2.0, 3.0)
     noted = light_operators._show_rendered(area)
