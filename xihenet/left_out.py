@@ -15,13 +15,13 @@ Colours are linear, at the session's exposure, clipped at white as the pictures 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
 
-from xihenet.buffers import FrameAtPosition, merge_in_sight
+from xihenet.buffers import FrameAtPosition, merge, merge_in_sight
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.colour import srgb_to_linear
 from xihenet.estimators import Estimator
@@ -57,6 +57,25 @@ def left_out_error(sh_radiance: ArrayF64, given: UnitSphereCloud, left_out: Unit
     said = basis(AnchorLattice(len(given)).directions[is_asked], 2) @ sh_radiance
     shown = srgb_to_linear(left_out.srgb[is_asked].astype(np.float64))
     return float(np.sqrt(np.mean((said.clip(0, 1) - shown) ** 2)))
+
+
+def left_out_errors(
+    frames: Sequence[UnitSphereCloud], estimate: Callable[[UnitSphereCloud], ArrayF64], *, is_merged: bool = False
+) -> Iterator[float]:
+    """Errors over a session: of the light from each frame alone, by all others; or from two thirds, by the other third.
+
+    `frames` are what each of them shows of one position, in their order, a third of which is left out in turn;
+    `estimate` gives (9, 3) of a cloud. What cannot be asked is left out, so that there may be none.
+    """
+    parts = np.array_split(np.arange(len(frames)), N_PARTS if is_merged else len(frames)) if frames else []
+    for part in parts:
+        inside = [frame for i, frame in enumerate(frames) if i in part]
+        outside = [frame for i, frame in enumerate(frames) if i not in part]
+        if inside and outside:
+            given, left_out = (reduce(merge, some) for some in ((outside, inside) if is_merged else (inside, outside)))
+            error = left_out_error(estimate(given), given, left_out) if given.is_set.any() else None
+            if error is not None:
+                yield error
 
 
 @dataclass(frozen=True)

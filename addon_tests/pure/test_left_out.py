@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from xihenet.colour import linear_to_srgb
-from xihenet.left_out import left_out_error
+from xihenet.left_out import left_out_error, left_out_errors
 from xihenet.records import UnitSphereCloud
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
@@ -37,6 +37,18 @@ def test_only_what_the_given_frames_do_not_show_is_asked():
     both = UnitSphereCloud(wrong.srgb + left_out.srgb, wrong.distance_m + left_out.distance_m, half(0) | half(0, -1))
     assert left_out_error(LIGHT, seen(half(0)), both) < 1e-6
     assert left_out_error(LIGHT, seen(half(0)), seen(half(0))) is None
+
+
+def test_a_session_is_asked_frame_by_frame_both_ways():
+    frames = [seen(half(0)), seen(half(1)), seen(half(0, -1)), UnitSphereCloud.empty(1280)]
+    given = []
+    errors = list(left_out_errors(frames, lambda cloud: given.append(cloud.is_set.mean()) or LIGHT))
+    assert len(errors) == 3 and max(errors) < 1e-6 and max(given) < 0.5
+    given.clear()
+    errors = list(left_out_errors(frames, lambda cloud: given.append(cloud.is_set.mean()) or LIGHT, is_merged=True))
+    # Thirds: the first two frames, the third, and the empty one, which shows nothing that the others do not.
+    assert len(errors) == 2 and min(given) > 0.4
+    assert list(left_out_errors(frames[:1], lambda cloud: LIGHT)) == []
 
 
 def test_radiance_beyond_black_and_white_is_cut_as_pictures_are():

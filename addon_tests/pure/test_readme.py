@@ -99,6 +99,12 @@ def test_the_session_of_the_docs_runs():
     assert known["session"].settings.trigger == REPLAY_TRIGGER
 
 
+def test_what_the_docs_import_from_xihenet_exists():
+    blocks = "\n".join(block for page in DOCS for block in python_of(page))
+    for line in re.findall(r"^(?:from|import) xihenet.*", blocks, re.MULTILINE):
+        exec(line)
+
+
 def test_the_folder_that_make_is_given_may_have_spaces_in_its_name():
     assert set(re.findall(r".\$\(OUT\)", (ROOT / "Makefile").read_text(encoding="utf-8"))) == {'"$(OUT)'}
 
