@@ -24,6 +24,7 @@ def test_firing_moves_what_was_seen_into_the_persistent_cloud_and_starts_anew():
     assert not buffers.persistent.is_set.any() and same(buffers.temporary, merge(first, second))
     fired = buffers.fired()
     assert same(fired.persistent, merge(first, second)) and not fired.temporary.is_set.any()
+    assert same(fired.fired().persistent, fired.persistent)
     again = fired.with_frame(third)
     assert same(again.fired().persistent, merge(merge(first, second), third))
     assert same(again.last_seen(), again.fired().persistent)
