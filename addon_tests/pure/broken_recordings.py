@@ -229,6 +229,13 @@ RECORD3D = {
         in_metadata("poses", 1, [float("nan")] * 7),
         NOTE + "1 frame without colour, depth or a pose",
     ),
+    "neither a pose nor intrinsics": (
+        lambda path: [
+            in_metadata(name, 1, values)(path)
+            for name, values in (("poses", [float("nan")] * 7), ("perFrameIntrinsicCoeffs", [0.0] * 4))
+        ],
+        NOTE + "1 frame without colour, depth or a pose",
+    ),
     "poses that are all NaN": (metadata(poses=[[float("nan")] * 7] * 3), "no frame has colour, depth and a pose"),
     "a pose that is text": (in_metadata("poses", 1, ["x"] * 7), "poses, frame 1: expected 7 numbers"),
     "a pose of six numbers": (in_metadata("poses", 1, [0.0] * 6), "poses, frame 1: expected 7 numbers"),

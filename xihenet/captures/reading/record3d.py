@@ -59,10 +59,9 @@ def read(path: Path, up: str | None) -> Capture:
         begin = start @ next((pose for pose in poses if pose is not None), np.eye(4))
         knows_up = first is not None and not np.allclose(begin[:3, :3], np.eye(3), atol=LEVEL)
         assumed = up or "y"
-        intrinsics = [Intrinsics(*size, *one.tolist()) for one in k]
         cameras = [
-            None if pose is None else frame_camera(one, (start @ pose).tolist(), up=assumed)
-            for one, pose in zip(intrinsics, poses, strict=True)
+            None if pose is None else frame_camera(Intrinsics(*size, *one), (start @ pose).tolist(), up=assumed)
+            for one, pose in zip(k.tolist(), poses, strict=True)
         ]
     numbers_of = sorted(int(found[1]) for name in archive.members if (found := NAME.fullmatch(name)))
     there = {
