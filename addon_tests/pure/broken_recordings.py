@@ -348,6 +348,7 @@ STRAY = {
     "the video is missing": (remove(VIDEO), "no recording that is known"),
     "odometry is a folder": (folder_in_place_of(ODOMETRY), "no recording that is known"),
     "odometry is empty": (put(ODOMETRY, ""), "expected a line for each frame"),
+    "odometry is only a head": (put(ODOMETRY, HEAD), "expected a line for each frame"),
     "odometry is garbage": (put(ODOMETRY, GARBAGE), "expected lines of numbers"),
     "a word": (odometry(f"0, 0, {POSED}", f"soon, 1, {POSED}"), "line 3: expected 9 numbers"),
     "a short line": (odometry("0, 0, 0, 0"), "line 2: expected timestamp"),
