@@ -158,6 +158,16 @@ def test_a_lamp_that_is_implied_is_as_bright_where_most_of_its_disc_was_seen_to_
     assert sliver.sum() >= 5 and found[sliver].mean(axis=0) == pytest.approx(disc, rel=0.05)
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 8])
+@pytest.mark.parametrize("direction", [*np.eye(3), *-np.eye(3)])
+def test_a_lamp_that_is_implied_is_finite_among_a_few_directions(n, direction):
+    lattice, key = AnchorLattice(n), KeyLight(direction, np.ones(3), 0.35, False)
+    for is_set in (np.arange(n) % 2 == 0, np.arange(n) % 2 == 1, np.zeros(n, bool)):
+        cloud = cloud_of(np.full((n, 3), 0.3), is_set)
+        found = fill_reflections(cloud, lattice, ObjectLight(FLAT + sh_of_key_light(key), key)).radiance
+        assert np.isfinite(found).all() and (found >= 0).all()
+
+
 @pytest.mark.parametrize("share", [0.3, 1.0, 2.0])
 def test_a_sun_takes_as_much_light_out_of_the_picture_as_it_gives_and_none_from_elsewhere(share):
     direction, radius = random_directions(1, 7)[0], 0.2

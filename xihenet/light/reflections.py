@@ -178,10 +178,10 @@ def _brightened(radiance: ArrayF64, cloud: UnitSphereCloud, lattice: AnchorLatti
         patch, most, share = is_white & (cosine > SAME_LIGHT_COSINE), MOST_BRIGHTENED, sure_share(key)
     else:
         spacing = np.sqrt(4 * np.pi / len(lattice))
-        disc = cosine > np.cos(max(key.angular_radius, spacing))
+        disc = cosine > max(np.cos(max(key.angular_radius, spacing)), 0)
         patch, most = ~cloud.is_set & disc, np.inf
         # What is left of the disc where a part was seen is as bright as all of it: it gives its part of the light.
-        share = min(sure_share(key), IMPLIED_IS) * cosine[patch].sum() / cosine[disc].sum()
+        share = min(sure_share(key), IMPLIED_IS) * cosine[patch].sum() / max(cosine[disc].sum(), 1e-9)
     shown = (radiance[patch] * cosine[patch, None]).sum(axis=0) * 4 * np.pi / len(lattice)
     of_key = np.divide(share * key.irradiance, shown, out=np.ones(3), where=shown > 0)
     gain[patch] = np.maximum(gain[patch], np.minimum(of_key, most))
