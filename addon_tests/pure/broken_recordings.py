@@ -470,6 +470,7 @@ NERFSTUDIO = {
     "a list": (put(TRANSFORMS, "[]"), "expected frames"),
     "a scale of 0": (said(TRANSFORMS, applied_scale=0), "applied_scale: expected a positive number"),
     "a fish-eye": (said(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
+    "a panorama": (said(TRANSFORMS, camera_model="EQUIRECTANGULAR"), "undistort the pictures"),
     "a camera of OpenCV": (said(TRANSFORMS, camera_model="OPENCV"), NOTE + "Times are not known"),
     "a focal length that is text": (said(TRANSFORMS, fl_x="40"), "fl_x: expected a number"),
     "half a pixel": (said(TRANSFORMS, w=0.5), "w: expected a whole number of pixels"),
