@@ -16,9 +16,10 @@ def seen(srgb_u8, exposure=1.0):
     return frame_of(np.ones(srgb_u8.shape[:2]), srgb_u8=srgb_u8, exposure=exposure)
 
 
-def test_exposure_goes_63_percent_of_the_way_in_one_time_constant():
-    later = step_exposure(1.0, 2.0, 0.5, reference=1.0, settings=AUTO)
-    assert np.log2(later) == pytest.approx(1 - np.exp(-1))
+@pytest.mark.parametrize("n", [0.5, 1, 2])
+def test_exposure_goes_63_percent_of_the_way_in_each_time_constant(n):
+    later = step_exposure(1.0, 2.0, 0.5 * n, reference=1.0, settings=AUTO)
+    assert np.log2(later) == pytest.approx(1 - np.exp(-n))
 
 
 def test_exposure_stays_within_its_clamps():
