@@ -46,14 +46,15 @@ def test_the_mirror_shows_what_is_behind_the_camera_at_its_centre_and_what_is_be
     np.testing.assert_allclose(shown[[0, 400]], [before, before], rtol=0.01)
 
 
-def test_half_way_to_the_rim_the_mirror_looks_sideways():
+def test_half_way_to_the_rim_mirror_and_silver_look_sideways():
     # A normal 45 degrees off the view turns the view by 90 degrees: 2 (k + 0.5) / size - 1 = sqrt(1/2).
     light, size = random_light(seed=1), 501
     column = round((1 + np.sqrt(0.5)) * size / 2 - 0.5)
-    shown = three_spheres(light, size)[MIRROR]
-    right, top = sh.basis([(1, 0, 0), (0, 0, 1)]) @ light
-    np.testing.assert_allclose(shown[250, column], right, atol=0.02)
-    np.testing.assert_allclose(shown[size - 1 - column, 250], top, atol=0.02)
+    for sphere, kept in ((MIRROR, [1, 1, 1]), (SILVER, silver_lobe())):
+        shown = three_spheres(light, size)[sphere]
+        right, top = sh.basis([(1, 0, 0), (0, 0, 1)]) @ (light * np.repeat(kept, [1, 3, 5])[:, None])
+        np.testing.assert_allclose(shown[250, column], right, atol=0.02)
+        np.testing.assert_allclose(shown[size - 1 - column, 250], top, atol=0.02)
 
 
 def test_the_diffuse_sphere_shows_irradiance_over_pi():
