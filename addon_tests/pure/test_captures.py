@@ -179,6 +179,17 @@ def test_names_with_accents_are_found_in_either_form(tmp_path, stored, named):
         inside(there.parent, "../é/../../ö.png")
 
 
+def test_pictures_with_accents_that_are_copied_later_are_found(tmp_path):
+    as_nerfstudio(tmp_path, walk(SMALL, 2))
+    said = json.loads((tmp_path / "transforms.json").read_text())
+    picture = tmp_path / said["frames"][1]["file_path"]
+    said["frames"][1]["file_path"] = "ä.png"
+    (tmp_path / "transforms.json").write_text(json.dumps(said))
+    assert len(open_capture(tmp_path).frames) == 1
+    picture.rename(tmp_path / unicodedata.normalize("NFD", "ä.png"))
+    assert len(open_capture(tmp_path).frames) == 2
+
+
 def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):
     frames = walk(LAYOUTS["Nerfstudio"][1])
     as_nerfstudio(tmp_path, frames)

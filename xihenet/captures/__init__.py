@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.captures.capture import Capture, CapturedFrame, names_in
 from xihenet.captures.reading import READERS
 from xihenet.captures.reading.record3d import SUFFIX
 from xihenet.formats import format_count
@@ -29,6 +29,7 @@ def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor
     """
     if not path.exists():
         raise ValueError(f"{path} is not there: give a folder or file with a recording of {', '.join(READERS)}")
+    names_in.cache_clear()  # Missing pictures may have been copied since.
     for is_in, read in READERS.values():
         if is_in(path):
             return set_by_hand(_with_doubts(read(path, up)), scale=scale, floor_m=floor_m)

@@ -80,7 +80,7 @@ def inside(folder: Path, name: str) -> Path:
     if not name.isascii() and not path.exists():
         path = folder
         for part in Path(name).parts:
-            path /= _names_in(str(path)).get(unicodedata.normalize("NFC", part), part)
+            path /= names_in(str(path)).get(unicodedata.normalize("NFC", part), part)
     lies_at = _resolved(str(path.parent)) / path.name
     if path.name == ".." or lies_at.is_symlink():
         lies_at = lies_at.resolve()
@@ -90,7 +90,7 @@ def inside(folder: Path, name: str) -> Path:
 
 
 @lru_cache(maxsize=64)
-def _names_in(folder: str) -> Mapping[str, str]:
+def names_in(folder: str) -> Mapping[str, str]:
     """Of the files in a folder, by their composed form: copied from a Mac, accents may stand beside their letters."""
     try:
         return {unicodedata.normalize("NFC", path.name): path.name for path in Path(folder).iterdir()}
