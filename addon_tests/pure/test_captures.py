@@ -17,6 +17,7 @@ from addon_tests.pure.recordings import (
     TUM,
     as_nerfstudio,
     as_plain,
+    as_polycam,
     as_record3d,
     as_tum,
     doubted,
@@ -80,8 +81,9 @@ def test_pictures_of_tums_own_size_are_read_with_its_own_intrinsics(tmp_path):
 
 
 def test_the_light_is_that_of_the_session_itself(tmp_path):
-    whole = open_capture(as_plain(tmp_path / "in", walk(SMALL)))
-    asked = ["--at", ",".join(map(str, AT)), "--out", str(tmp_path), "--to", "three"]
+    whole = open_capture(as_polycam(tmp_path / "in", walk(SMALL)))
+    typed = ",".join(f"{value:.9g}" for value in whole.blender_from_file.T @ AT)  # +Y is up there.
+    asked = [f"--at={typed}", "--out", str(tmp_path), "--to", "three"]
     assert main(["replay", str(tmp_path / "in"), *asked]) == 0
     written = read_strictly((tmp_path / "replay.json").read_text())
     lights = written["positions"][0]["lights"]
@@ -91,12 +93,12 @@ def test_the_light_is_that_of_the_session_itself(tmp_path):
     lattice = estimators.load("lattice", target="hdr")
     steps = list(replay(list(whole), positions_m, lattice, has_key_light=True, never_in_view=unseen))
     fired = [step.frame for step in steps if "place_0" in step.reports and step.reports["place_0"].decision.fire]
-    assert written["format"] == "plain folder" and [light["frame"] for light in lights] == fired
+    assert written["format"] == "Polycam" and [light["frame"] for light in lights] == fired
     for light, step in zip(lights, [step for step in steps if step.frame in fired], strict=True):
         true = step.reports["place_0"].estimate.sh_radiance
         assert np.abs(np.array(light["sh_radiance"]) - true).max() < 1e-3 * np.abs(true).max()
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "plain folder" in page and "The sphere" not in page and page.count("data:image/png") == 2 + len(whole.frames)
+    assert "Polycam" in page and "The sphere" not in page and page.count("data:image/png") == 2 + len(whole.frames)
     exported = read_strictly((tmp_path / "three" / "three.json").read_text())["lights"]
     assert [light["frame"] for light in exported] == fired and (tmp_path / "place_0.png").is_file()
     assert all((tmp_path / "three" / light["reflections"]).is_file() for light in exported)
