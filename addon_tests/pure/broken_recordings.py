@@ -351,6 +351,7 @@ STRAY = {
     "odometry is only a head": (put(ODOMETRY, HEAD), "expected a line for each frame"),
     "odometry is garbage": (put(ODOMETRY, GARBAGE), "expected lines of numbers"),
     "a word": (odometry(f"0, 0, {POSED}", f"soon, 1, {POSED}"), "line 3: expected 9 numbers"),
+    "NaN": (odometry("0, 0, nan, 0, 0, 0, 0, 0, 1"), "expected finite numbers"),
     "a short line": (odometry("0, 0, 0, 0"), "line 2: expected timestamp"),
     "a frame below 0": (odometry(f"0, -1, {POSED}"), "a number of a frame"),
     "half a frame": (odometry(f"0, 0.5, {POSED}"), "a number of a frame"),
