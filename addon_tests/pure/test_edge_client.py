@@ -314,6 +314,7 @@ def test_over_tls_a_client_that_trusts_the_certificate_gets_light_and_another_sa
         authority.configure_trust(trusting)
         with contextlib.closing(EdgeBackend(url, N, patience=QUICK, bearer="secret", tls=trusting)) as backend:
             assert shc_rmse(backend.estimate(cloud), local.estimate(cloud)) < 1e-3
+            assert len(backend.estimate_together([cloud] * 2, [EstimateContext()] * 2)) == 2 == 1 + len(backend._beside)
         with pytest.raises(NoAnswer, match="CERTIFICATE_VERIFY_FAILED"):
             EdgeBackend(url, N, patience=QUICK, bearer="secret")
         monkeypatch.setattr(client, "OF_A_COMMAND", QUICK)
