@@ -77,6 +77,12 @@ def test_without_a_floor_in_sight_the_usual_axis_is_taken_and_said(tmp_path):
 
 
 @PACKED
+def test_a_record3d_file_that_begins_level_along_an_axis_knows_where_up_is(tmp_path):
+    frames = [seen(SMALL, looking(np.pi / 2, 0.0, (0.5, 0.0, 0.3)))]
+    assert open_capture(as_record3d(tmp_path / "level", frames)).notes == ()
+
+
+@PACKED
 @pytest.mark.parametrize("pitch", [-0.6, -0.2])
 @pytest.mark.parametrize("start", [None, [0, 0, 0, 1, 0, 0, 0]])
 def test_the_first_camera_of_record3d_need_not_be_upright(tmp_path, pitch, start):

@@ -1,11 +1,11 @@
 """Recordings of the app Record3D: one .r3d file, a zip of `metadata` and of rgbd/N.jpg, N.depth and N.conf.
 
-Poses are camera to world as quaternion and place, the camera looks along -Z with +Y up. They begin at the first
-camera; `initPose` is where that one was in ARKit's world, which has +Y up. Without it, and where it turns nothing, as
+Poses are camera to world as quaternion and place, the camera looks along -Z with +Y up. They begin at the first camera;
+`initPose` is where that one was in ARKit's world, which has +Y up. Without it, and where it turns and moves nothing, as
 the app itself was seen to write it, up is not known: the floor is looked for. K, column by column, and the intrinsics
-of each frame are for the colour's size. Depth is float32 in metres and confidence 0, 1, 2, both packed by LZFSE, row
-by row; depth lies as the colour does, upright or not. Only captures with LiDAR have poses; one with a number that is
-not finite is of a moment at which tracking was lost, as good as none.
+of each frame are for the colour's size. Depth is float32 in metres and confidence 0, 1, 2, both packed by LZFSE, row by
+row; depth lies as the colour does, upright or not. Only captures with LiDAR have poses; one with a number that is not
+finite is of a moment at which tracking was lost, as good as none.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NAME = re.compile(r"rgbd/(\d{1,9})\.depth")
 MOST_METADATA, MOST_PICTURE = 2**26, 2**26  # Bytes; an hour at 60 frames a second has 50 MB of metadata
 PACKED_SLACK = 2**16  # Bytes by which what cannot be packed may grow
 USUAL_FPS = 60.0
-LEVEL = 1e-4  # No hand holds a camera so nearly along the axes of the world: these are the camera's own
+AT_ORIGIN = 1e-4  # Who begins so near to the origin of the world, along its axes, has the first camera's own world
 
 
 def is_in(path: Path) -> bool:
@@ -57,7 +57,7 @@ def read(path: Path, up: str | None) -> Capture:
         if (first := content.get("initPose")) is not None:
             start = _pose(numbers(first, 7, "initPose"))
         begin = start @ next((pose for pose in poses if pose is not None), np.eye(4))
-        knows_up = first is not None and not np.allclose(begin[:3, :3], np.eye(3), atol=LEVEL)
+        knows_up = first is not None and not np.allclose(begin, np.eye(4), atol=AT_ORIGIN)
         assumed = up or "y"
         cameras = [
             None if pose is None else frame_camera(Intrinsics(*size, *one), (start @ pose).tolist(), up=assumed)
