@@ -93,6 +93,13 @@ def test_an_estimate_is_made_from_everything_seen_so_far():
         assert estimate.coverage == merged.is_set.mean()
 
 
+def test_a_position_out_of_view_costs_nothing_and_keeps_its_light():
+    controller = session()
+    light = controller.step(looking(0.0))["Vase"].estimate
+    assert controller.step(looking(np.pi, frame=1)) == {}
+    assert controller.light("Vase") is light
+
+
 def test_a_position_out_of_view_learns_where_it_is_told_to_and_changes_its_light_once_it_is_seen():
     controller = session(learns_out_of_view=True, trigger=TriggerSettings(coverage_theta=0.01))
     light = controller.step(looking(0.0))["Vase"].estimate
