@@ -96,7 +96,7 @@ def test_an_estimate_is_made_from_everything_seen_so_far():
 def test_a_position_out_of_view_costs_nothing_and_keeps_its_light():
     controller = session()
     light = controller.step(looking(0.0))["Vase"].estimate
-    assert controller.step(looking(np.pi, frame=1)) == {}
+    assert controller.step(looking(np.pi, frame=1)) == {} == controller.out_of_view_ms
     assert controller.light("Vase") is light
 
 
