@@ -49,4 +49,4 @@ def test_what_is_broken_is_one_line_and_what_is_odd_is_read(sound, tmp_path, cap
         assert all(line.startswith("xihe: note: ") for line in said.splitlines()) and (out / "replay.json").is_file()
     else:
         assert code == 2 and words in said and not out.exists(), said
-        assert said.startswith("xihe: ") and said.count("\n") == 1
+        assert said.startswith("xihe: ") and said.count("\n") == 1 and str(path) in said, said
