@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.made import frame_of, pose_of, random_rotation
-from xihenet.camera import encode_exposed, in_view, part_around, project_points, sensed_ambient, unproject_frame
+from xihenet.camera import (
+    behind_m,
+    encode_exposed,
+    in_view,
+    part_around,
+    project_points,
+    sensed_ambient,
+    unproject_frame,
+)
 from xihenet.colour import srgb_to_linear
 from xihenet.records import Intrinsics
 from xihenet.sampling import sample_unit_sphere
@@ -100,6 +108,14 @@ def test_a_part_of_the_picture_is_not_known_where_a_point_is_not_before_the_came
     for behind in ([0, 0, 1], [0, 0, 0], [np.nan, 0, -1]):
         assert part_around([[0, 0, -1], behind], intrinsics, np.eye(4)) is None
     assert part_around([[9, 0, -1]], intrinsics, np.eye(4)) == (4, 2, 4, 2)
+
+
+def test_a_point_is_as_far_behind_as_the_surface_of_its_own_pixel_says():
+    frame = frame_of(np.arange(1.0, 13.0).reshape(3, 4), Intrinsics(4, 3, 2.0, 2.0, 2.0, 1.5))
+    for row, column in np.ndindex(3, 4):
+        point = np.array([(column - 1.5) / 2, (1 - row) / 2, -1]) * 20
+        assert behind_m(point, frame) == pytest.approx(20 - (1 + 4 * row + column))
+    assert behind_m([0, 0, 5], frame) == behind_m([90, 0, -1], frame) == 0
 
 
 def test_no_points_project_to_no_pixels():
