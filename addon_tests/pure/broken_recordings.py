@@ -352,6 +352,10 @@ STRAY = {
     "odometry is garbage": (put(ODOMETRY, GARBAGE), "expected lines of numbers"),
     "a word": (odometry(f"0, 0, {POSED}", f"soon, 1, {POSED}"), "line 3: expected 9 numbers"),
     "NaN": (odometry("0, 0, nan, 0, 0, 0, 0, 0, 1"), "expected finite numbers"),
+    "a quaternion of zeros": (
+        odometry("0, 0, 0, 0, 0, 0, 0, 0, 0"),
+        "frame 0: pose: expected a quaternion of length 1",
+    ),
     "a short line": (odometry("0, 0, 0, 0"), "line 2: expected timestamp"),
     "a frame below 0": (odometry(f"0, -1, {POSED}"), "a number of a frame"),
     "half a frame": (odometry(f"0, 0.5, {POSED}"), "a number of a frame"),
@@ -444,6 +448,8 @@ PLAIN = {
         NOTE + "1 frame without depth or a pose left out",
     ),
     "a time that is NaN": (put(POSES, "nan 0 0 0 0 0 0 1\n" * 3), "expected finite numbers"),
+    "a pose that mirrors": (put(POSES, "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), "pose of 1.png: "),
+    "a quaternion of zeros": (put(POSES, "0 0 0 0 0 0 0 0\n" * 3), "a quaternion of length 1"),
     "times that go back": (put(POSES, "5 0 0 0 0 0 0 1\n4 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n"), NOTE + "Times go back"),
     "no times": (put(POSES, "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), NOTE + "Times are not known"),
 }
