@@ -28,14 +28,15 @@ def test_a_run_that_ended_early_says_how_to_go_on_and_where_its_console_is(tmp_p
         assert str(raised.value) == f"the run ended early{ended}: Resume goes on with it. Its console is in {console}"
 
 
-def test_a_run_whose_scene_was_renamed_or_deleted_is_shown_in_no_other(tmp_path):
+def test_a_run_whose_scene_was_renamed_is_shown_there_and_one_whose_scene_was_deleted_in_no_other(tmp_path, addon):
     hall, kitchen = bpy.context.scene, bpy.data.scenes.new("Kitchen")
     run = saved_for_run(kitchen, tmp_path, {})
     assert run.find_scene() == kitchen
-    kitchen.name = "Bath"
+    kitchen.name, kitchen.xihe.begun_run = "Bath", str(run.folder)  # As Run notes it.
+    assert run.find_scene() == kitchen
+    bpy.data.scenes.remove(kitchen)
     with pytest.raises(UserError, match="no scene is called 'Kitchen' any more: give the run's scene that name"):
         run.find_scene()
-    bpy.data.scenes.remove(kitchen)
     asked, hall.name = hall.name, "Kitchen"
     assert run.find_scene() == hall
     hall[ROOM] = True

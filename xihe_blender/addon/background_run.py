@@ -187,9 +187,13 @@ class BackgroundRun:
         apply_results(self.find_scene(), self.folder)
 
     def find_scene(self) -> bpy.types.Scene:
-        """The scene of the open file that it is a run of; UserError where none has its name."""
+        """The scene of the open file that it is a run of: that of its name, or else that in which it was begun.
+
+        UserError where neither is there.
+        """
         name = self.request.scene
-        found = bpy.data.scenes.get((name, None))
+        begun = (scene for scene in bpy.data.scenes if scene.xihe.begun_run == str(self.folder))
+        found = bpy.data.scenes.get((name, None)) or next(begun, None)
         if found is None or ROOM in found:
             raise UserError(
                 f"no scene is called {name!r} any more: give the run's scene that name and show it again, or discard it"
