@@ -53,7 +53,7 @@ CYCLES_DEVICE = (
     "kind of device that Cycles renders on: CPU, or OPTIX, CUDA, HIP, ONEAPI or METAL for a graphics card; default: "
     "XIHE_CYCLES_DEVICE in the environment, or else Blender's preferences"
 )
-KERNELS = "Cycles renders on {cards}; a card's first render can wait minutes until its kernels are built"
+KERNELS = "Cycles renders on {cards}; the first render on a card can take minutes longer, until its kernels are built"
 
 NEEDS_BLENDER = (
     "this command needs Blender: with Python 3.11 or 3.13 pip install 'xihe-blender[blender]', or install the "
