@@ -157,8 +157,8 @@ def _markdown_lines(
     }
     left_out = f" `report.html` has {n_details} more." if n_details else ""
     yield from (
-        "What a simulation can repeat of the evaluation in Xihe (Zhao and Guo, MobiSys 2021), with our rooms, networks "
-        f"and server: {_lead(list(results.values()))}{left_out}{link}",
+        "This page has what a simulation can repeat of the evaluation in Xihe (Zhao and Guo, MobiSys 2021), with our "
+        f"rooms, networks and server: {_lead(list(results.values()))}{left_out}{link}",
         "",
     )
     yield from ("```sh", command, "```", "")
