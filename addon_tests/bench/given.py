@@ -8,10 +8,10 @@ from typing import Any
 
 
 def given(doc: str | None, *paths: str, **options: Any) -> argparse.Namespace:
-    """`paths` are names of files or folders, in order; one that ends in "+" or "*" is of several.
+    """`paths` name files or folders, in order; one that ends in "+" or "*" stands for several.
 
-    An option has its default, and is read as what that is: False makes a switch, (reader, default) is read by that, and
-    a reader alone must be given.
+    `options` have their defaults, whose type reads what is given. False makes a switch, (reader, default) names another
+    reader, and a reader alone makes an option that must be given.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in paths:
@@ -28,5 +28,5 @@ def given(doc: str | None, *paths: str, **options: Any) -> argparse.Namespace:
 
 
 def words(text: str) -> list[str]:
-    """Those of "A,B"."""
+    """The words of "A,B"."""
     return text.split(",")

@@ -100,7 +100,7 @@ class Saving(polls.Conditional, ModalJob):
     works_here = False
     cancelled = "Nothing was saved"
     command: tuple[str, ...]
-    """Of `xihe`; the run's folder comes behind it."""
+    """What `xihe` is given before the run's folder."""
 
     file_name: str
     doing: str

@@ -32,7 +32,7 @@ from xihe_blender.scene.units import metres_per_unit
 from xihenet.walk.surfaces import Surface
 
 OUTPUT_PREFIX = "xihe_lit_"
-"""Of the files that the lit scene renders: those of the room stay."""
+"""Begins the names of the files that the lit scene renders, so that those of the room stay."""
 
 LIFTED_M = 0.003
 """Of a catcher: copies of the room's own surfaces hold out what is behind them, and it must not be."""
