@@ -107,8 +107,8 @@ class PatientConnection:
             answer = json.loads(text)
         except ValueError:
             self.close()
-            what = f"{response.headers.get_content_type()} with status {status}"
-            raise TryAgain(f"what came is {what}, not the JSON of an edge service") from None
+            what = f"{response.headers.get_content_type()} and status {status}"
+            raise TryAgain(f"something that is no edge service answers there, with {what}") from None
         if status < 300 and isinstance(answer, dict):
             return answer
         said = str(answer.get("error", status)) if isinstance(answer, dict) else str(status)
