@@ -225,6 +225,13 @@ def test_what_will_not_pass_is_said_at_once():
         assert len(server.requests) == 1
 
 
+@pytest.mark.parametrize("bearer", ["secret\n", "secr\N{SNOWMAN}t"])
+def test_a_bearer_token_that_no_header_can_carry_is_refused_without_being_shown(bearer):
+    with pytest.raises(ValueError, match=r"^the bearer token has") as refused:
+        EdgeBackend("http://127.0.0.1:9", N, patience=QUICK, bearer=bearer)
+    assert "secr" not in str(refused.value)
+
+
 def test_a_proxy_that_answers_with_a_page_is_said():
     page = answer_of(502, b"<html>Bad Gateway</html>", "Content-Type: text/html; charset=utf-8")
     with contextlib.closing(BadServer(page)) as server:

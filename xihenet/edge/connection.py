@@ -53,11 +53,15 @@ class NotTrusted(TryAgain):
 
 
 class PatientConnection:
-    """To the service at `url`; ValueError for one that is none. Not safe between threads."""
+    """To the service at `url`; ValueError for one or for a `bearer` that is none. Not safe between threads."""
 
     def __init__(self, url: str, patience: Patience, bearer: str = "", tls: ssl.SSLContext | None = None) -> None:
         self.url, self.patience, self._tls = url.rstrip("/"), patience, tls
         self._address = _parsed(url)
+        if not bearer.isprintable() or max(bearer, default="") > "\xff":
+            raise ValueError(
+                "the bearer token has the end of a line or a character that no header can carry: give another"
+            )
         self._always = {"Authorization": f"Bearer {bearer}"} if bearer else {}
         self._connection: http.client.HTTPConnection | None = None
         self.lost_since: float | None = None
