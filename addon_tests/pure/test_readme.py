@@ -101,7 +101,9 @@ def test_the_session_of_the_docs_runs():
 
 def test_what_the_docs_import_from_xihenet_exists():
     blocks = "\n".join(block for page in DOCS for block in python_of(page))
-    for line in re.findall(r"^(?:from|import) xihenet.*", blocks, re.MULTILINE):
+    lines = re.findall(r"^(?:from|import) xihenet.*", blocks, re.MULTILINE)
+    assert lines
+    for line in lines:
         exec(line)
 
 
