@@ -82,8 +82,8 @@ class Estimator(ABC):
     ) -> ArrayF64:
         """(B, 9, 3) from srgb (B, N, 3), distance_m (B, N) and is_set (B, N); equals B single estimates. B may be 0.
 
-        `facing` (B, N) as in `AnchorSurfaces`, for estimators that ask it; None where nobody looked. What stands at
-        anchors that are not set does not matter. ValueError for shapes or values that do not fit.
+        `facing` (B, N) as in `AnchorSurfaces`, for estimators that ask it; None where nobody looked. Which colours and
+        distances stand at anchors that are not set does not matter. ValueError for shapes or values that do not fit.
         """
         colours, distances, known = self._checked_shapes(srgb, distance_m, np.asarray(is_set, bool))
         colours, distances = np.where(known[..., None], colours, 0), np.where(known, distances, 0)
