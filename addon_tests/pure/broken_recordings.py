@@ -426,6 +426,7 @@ PLAIN = {
     "colour is a folder": (folder_in_place_of("colour/2.png"), "expected a line for each of 2 pictures, got 3"),
     "the camera is a list": (put(CAMERA_FILE, "[]"), "expected a JSON object"),
     "the camera is garbage": (put(CAMERA_FILE, GARBAGE), "expected JSON"),
+    "a width of other pictures": (plain(width=128), "depth/1.png: the intrinsics are for 128x48 pixels"),
     "a pose in the camera": (plain(world_from_camera=np.eye(4).tolist()), "there is no such key"),
     "a principal point in the corner": (plain(cx=0, cy=0), NOTE + "at 0, 0 of 64x48 pixels: check cx and cy."),
     "a principal point far away": (plain(cx=1e9), NOTE + "at 1e+09, 24 of 64x48 pixels: check cx and cy."),
