@@ -284,14 +284,12 @@ class XiheController:
         position, invalid = look.position, look.sampled.invalid
         estimate, unknown_because = look.estimate, "" if look.sampled.is_set.any() else "nothing_seen"
         if estimate is not None and look.context is not None:
-            cloud = look.fired.persistent
+            cloud, unknown_because = look.fired.persistent, estimate.unknown_because
+            invalid = {**invalid, **self._clamped(look.followed.temporary, cloud)}
             if estimate.is_valid:
                 with look.clock.stage("estimate"):
                     before = position.light.key if position.light else None
                     estimate = replace(estimate, key=self._key_light(estimate, position, before))
-            unknown_because = estimate.unknown_because
-            invalid = {**invalid, **self._clamped(look.followed.temporary, cloud)}
-            if estimate.is_valid:
                 estimate = self._with_others(estimate, cloud, look.context, position)
                 reflected = position.reflected if self.settings.has_reflections else None
                 estimate = replace(estimate, reflected=reflected, seen=look.sampled)
