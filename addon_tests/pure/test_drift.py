@@ -1,14 +1,17 @@
 """Gains of exposure and white balance: those that were put into walks through a room are found again."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from addon_tests.pure.furnished import as_measured, furniture, seen, walk_poses
 from xihenet.captures import drift as module
-from xihenet.captures.drift import DriftFollower, follow_drift
+from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.captures.drift import DriftFollower, follow_drift, steadied
 from xihenet.captures.gain_graph import Pair, solve_gains
+from xihenet.io.frame_files import FrameCamera
 
 
 def drifting(rng, n, stops=1.5, white=0.25, sign=1):
@@ -128,6 +131,20 @@ def test_a_lamp_that_lights_most_of_what_is_seen_passes_for_drift():
 
 def without_depth(frame, value):
     return replace(frame, plane_depth_m=np.full_like(frame.plane_depth_m, value))
+
+
+def test_a_steadied_recording_has_the_gains_in_its_white_balance():
+    gains, own = drifting(np.random.default_rng(0), 4), np.array([1.0, 2.0, 4.0])
+    frames = session(0, gains, walk_poses(0, 30)[:4])
+    frames[2] = replace(frames[2], white_balance=own)
+    moments = [
+        CapturedFrame(n, 0.0, FrameCamera(one.intrinsics, one.world_from_camera, np.eye(3)), partial(replace, one))
+        for n, one in enumerate(frames)
+    ]
+    steady, drift = steadied(Capture("", moments, np.eye(3)))
+    assert worst(drift, 1.0) > 0.1
+    for n, one in enumerate(steady):
+        np.testing.assert_array_equal(one.white_balance, drift.gains[n] * (own if n == 2 else 1))
 
 
 def test_no_frame_and_one_frame():
