@@ -27,7 +27,7 @@ from xihenet.light.exports import (
 )
 from xihenet.light.platforms import PLATFORMS, coefficients_for, convention_of
 from xihenet.panorama import panorama_directions, project_panorama, solid_angles
-from xihenet.records import KeyLight, ObjectLight
+from xihenet.records import KeyLight, ObjectLight, Reflections
 
 EXPOSURE = 1.7
 SH = np.random.default_rng(1).normal(size=(9, 3)) * 0.1 + np.eye(9)[0][:, None]
@@ -186,7 +186,8 @@ def test_two_lights_of_one_object_and_frame_and_no_light_are_refused():
 
 @pytest.mark.parametrize("platform", PLATFORMS)
 def test_every_file_is_written_for_a_light_with_all_its_parts(platform):
-    light = NamedLight("Ball", 3, 0.0, ObjectLight(SH, KEY_LIGHT), np.ones((8, 16, 3)))
+    reflections = Reflections(np.full((9, 3), 0.5), 1.0)
+    light = NamedLight("Ball", 3, 0.0, ObjectLight(SH, KEY_LIGHT, reflections=reflections), np.ones((8, 16, 3)))
     files = export_files([light], platform)
     entry = read_strictly(files[f"{platform}.json"].decode())["lights"][0]
     assert {entry[part] for part in ("environment", "reflections") if part in entry} <= files.keys()
@@ -194,6 +195,7 @@ def test_every_file_is_written_for_a_light_with_all_its_parts(platform):
     assert "".join(name for name in files if name.endswith((".cs", ".js"))) == PLATFORMS[platform].script
     again = scaled(light.light, 2.0)
     assert again.sh.tolist() == (SH * 2).tolist() and again.key.irradiance.tolist() == [4.0, 2.0, 1.0]
+    assert (again.reflections.radiance == 1).all()
 
 
 # ---------------------------------------------------------------------------------------------------------- pictures
