@@ -323,8 +323,11 @@ def test_own_frames_begin_with_the_scenes_range():
     assert (scene.xihe.frame_start, scene.xihe.frame_end, scene.xihe.frame_step) == (2, 40, 3)
 
 
-def test_folders_of_runs_are_new_each_time(tmp_path):
+@pytest.mark.parametrize("is_known", [True, False], ids=["of one Blender", "another Blender makes one at that moment"])
+def test_folders_of_runs_are_new_each_time(tmp_path, monkeypatch, is_known):
     scene = walk_for_the_panel(tmp_path / "deep" / "runs")
+    if not is_known:
+        monkeypatch.setattr(Path, "exists", lambda _: False)
     folders = [new_run_folder(scene) for _ in range(4)]
     assert len(set(folders)) == 4 and all(folder.is_dir() for folder in folders)
     assert {folder.parent for folder in folders} == {tmp_path / "deep" / "runs"}

@@ -7,6 +7,7 @@ of the scene, which would still be there when the run's folder is gone.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import time
 from pathlib import Path
@@ -33,11 +34,13 @@ def new_run_folder(scene: bpy.types.Scene) -> Path:
     stem = Path(bpy.data.filepath).stem or "untitled"
     name = f"{cut_stem(stem)}_{time.strftime('%Y%m%d-%H%M%S')}"
     try:
+        parent.mkdir(parents=True, exist_ok=True)
         number, folder = 1, parent / name
-        while folder.exists():  # From the same second.
+        while True:
+            with contextlib.suppress(FileExistsError):  # From the same second, maybe of another Blender.
+                folder.mkdir()
+                return folder
             number, folder = number + 1, parent / f"{name}_{number + 1}"
-        folder.mkdir(parents=True)
-        return folder
     except OSError as error:
         raise UserError(
             f"cannot write to {parent} ({error.strerror}): choose another Runs Folder in the add-on's preferences"
