@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import bpy
 import pytest
+from addon_runs import enable_preferences
 from previs_runs import walk
 
 from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
@@ -33,7 +34,13 @@ def test_a_run_whose_scene_was_renamed_is_shown_there_and_one_whose_scene_was_de
     run = saved_for_run(kitchen, tmp_path, {})
     assert run.find_scene() == kitchen
     kitchen.name, kitchen.xihe.begun_run = "Bath", str(run.folder)  # As Run notes it.
+    lit = kitchen.copy()
+    lit.name, lit[ROOM] = "Aisle", kitchen  # As Show Lit makes it.
     assert run.find_scene() == kitchen
+    enable_preferences().cache_folder = str(tmp_path.parent)
+    kitchen.xihe.begun_run = f"/elsewhere/{tmp_path.name}"
+    assert run.find_scene() == kitchen, "the run was moved with its file"
+    bpy.data.scenes.remove(lit)
     bpy.data.scenes.remove(kitchen)
     with pytest.raises(UserError, match="no scene is called 'Kitchen' any more: give the run's scene that name"):
         run.find_scene()

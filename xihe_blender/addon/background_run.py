@@ -191,14 +191,14 @@ class BackgroundRun:
 
         UserError where neither is there.
         """
-        name = self.request.scene
-        begun = (scene for scene in bpy.data.scenes if scene.xihe.begun_run == str(self.folder))
-        found = bpy.data.scenes.get((name, None)) or next(begun, None)
-        if found is None or ROOM in found:
+        name, own = self.request.scene, [s for s in bpy.data.scenes if s.library is None and ROOM not in s]
+        found = [scene for scene in own if scene.name == name]
+        found += [scene for scene in own if found_folder(scene.xihe.begun_run) == self.folder]
+        if not found:
             raise UserError(
                 f"no scene is called {name!r} any more: give the run's scene that name and show it again, or discard it"
             )
-        return found
+        return found[0]
 
 
 def saved_for_run(scene: bpy.types.Scene, folder: Path, choices: Parameters) -> BackgroundRun:
