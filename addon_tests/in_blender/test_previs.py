@@ -29,8 +29,11 @@ from tiny_scenes import room_with_a_virtual_sphere, sphere
 from xihe_blender.cli.previs import format_summary
 from xihe_blender.errors import UserError
 from xihe_blender.io.exr import read_radiance
+from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.compare_path import OBJECTS, kept_comparison
 from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
@@ -256,6 +259,12 @@ def test_damaged_pieces_of_frames_cost_those_pieces_alone(finished, copied):
     assert 0 < renders.pop("Xihe Reference Probe") == finished.renders.count("Xihe Reference Probe") / 5
     # The board has two positions, and is lit at each.
     assert renders == {"Xihe Capture": 1, "Xihe Ground Truth": 1, "Xihe Lit": 2}
+
+
+def test_a_comparison_is_made_again_where_its_radiance_is_gone_or_of_before_it_had_the_share_of_objects(copied):
+    assert kept_comparison(copied, 1) == kept_record(ComparedFrame, copied.compared(1)) is not None
+    copied.radiance(OBJECTS, 1).unlink()
+    assert kept_comparison(copied, 1) is None
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,13 +42,23 @@ def compare_path(run: PreparedRun, walked: WalkedPath) -> Job[dict[int, Compared
     outputs, active = run.outputs, [frame.frame for frame in walked.frames if frame.active]
     frames = compared_frames(active, run.settings.preset_values.comparison_step)
     sources = comparison_sources(run, {frame: walked.lights[frame] for frame in frames})
-    kept = {frame: kept_record(ComparedFrame, outputs.compared(frame)) for frame in frames}
+    kept = {frame: kept_comparison(outputs, frame) for frame in frames}
     missing = [frame for frame in frames if kept[frame] is None]
     yield from _render_missing(run, walked, [frame for frame in missing if sources[frame] == frame])
     for frame in missing:
         if sources[frame] != frame:
             _take_over(outputs, sources[frame], frame)
     return {frame: kept[frame] or read_record(ComparedFrame, outputs.compared(frame)) for frame in frames}
+
+
+def kept_comparison(outputs: RunOutputs, frame: int) -> ComparedFrame | None:
+    """What an earlier part of the run kept; None where its radiance is not all there, as an earlier version left it."""
+    kept = kept_record(ComparedFrame, outputs.compared(frame))
+    return kept if kept is not None and all(path.exists() for path in _radiance(outputs, kept, frame)) else None
+
+
+def _radiance(outputs: RunOutputs, compared: ComparedFrame, frame: int) -> list[Path]:
+    return [outputs.radiance(name, frame) for name in ("ground_truth", OBJECTS, *compared.comparison)]
 
 
 def _render_missing(run: PreparedRun, walked: WalkedPath, missing: Sequence[int]) -> Iterator[Progress]:
@@ -88,8 +99,8 @@ def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
 
 def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
     compared = read_record(ComparedFrame, outputs.compared(source))
-    for method in ("ground_truth", OBJECTS, *compared.comparison):
-        copy_whole(outputs.radiance(method, source), outputs.radiance(method, frame))
+    for kept, path in zip(*(_radiance(outputs, compared, one) for one in (source, frame)), strict=True):
+        copy_whole(kept, path)
     # What the phone saw has been written before; its exposure may differ.
     for kind in compared.pictures.keys() - {"captured"}:
         copy_whole(outputs.picture(kind, source), outputs.picture(kind, frame))
