@@ -93,6 +93,8 @@ def _pace(steps: Sequence[tuple[float, float]]) -> float:
 
 
 Job = Generator[Progress, None, Result]
+Steps = Generator[None, None, Result]
+"""Work that can be left between its steps, of which its caller says what they show: by `shown` it is a job."""
 
 
 def run_blocking(job: Job[Result], on_progress: Callable[[Progress, float], None] | None = None) -> Result:
@@ -131,6 +133,20 @@ def shown(steps: Generator[Step, None, Result], say: Callable[[Step], Progress])
                 result: Result = finished.value
                 return result
             yield say(step)
+
+
+def timed(job: Job[Result]) -> Job[tuple[Result, float]]:
+    """A job: the result of `job`, and the seconds that it worked; between its steps a window waits for its user."""
+    spent_s = 0.0
+    with contextlib.closing(job):
+        while True:
+            start = time.perf_counter()
+            try:
+                progress = next(job)
+            except StopIteration as finished:
+                return finished.value, spent_s + time.perf_counter() - start
+            spent_s += time.perf_counter() - start
+            yield progress
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """Samples reach the noise target, no render is made twice, and what is taken over is what would have been rendered."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -148,6 +149,15 @@ def test_a_tighter_target_takes_more_samples_of_a_scene():
     assert samples[-1] == PRESETS["balanced"].max_samples
     again = measured(0.04)
     assert replace(again, pilot_s=0) == replace(sample_counts[2], pilot_s=0)
+
+
+def test_the_pilot_takes_the_time_in_which_it_renders_and_not_that_between_its_steps(monkeypatch):
+    scene = room_with_a_virtual_sphere(3)
+    plan, survey = surveyed(scene, SMALL)
+    waited, clock = [0.0], time.perf_counter
+    monkeypatch.setattr(time, "perf_counter", lambda: clock() + sum(waited))
+    count = run_blocking(measure_sample_count(scene, plan, survey, SMALL, 1.0), lambda *_: waited.append(1e4))
+    assert 0 < count.pilot_s < 1e4 < sum(waited)
 
 
 def test_a_number_of_samples_is_taken_as_it_is_without_a_pilot():

@@ -10,12 +10,13 @@ import subprocess
 import sys
 import termios
 import threading
+import time
 import unicodedata
 
 import pytest
 
 from xihe_blender.cli.progress import progress_line
-from xihe_blender.jobs import Progress, TimeLeft, interrupted_between_steps, run_blocking
+from xihe_blender.jobs import Progress, TimeLeft, interrupted_between_steps, run_blocking, timed
 
 
 def count_to(total, log=None, action=None):
@@ -52,6 +53,20 @@ def test_every_progress_is_shown_with_the_time_since_the_start():
     assert [progress.done for progress, _ in shown] == [0, 1, 2]
     times = [elapsed_s for _, elapsed_s in shown]
     assert times == sorted(times) and times[0] >= 0
+
+
+def test_the_seconds_of_a_job_are_those_in_which_it_works_and_not_those_in_which_its_window_waits(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: sum(now))
+
+    def job():
+        for done in range(3):
+            now.append(1.0)
+            yield Progress(done, 3, "working")
+        now.append(1.0)
+        return "result"
+
+    assert run_blocking(timed(job()), lambda *_: now.append(100.0)) == ("result", 4.0)
 
 
 def seconds_left(*steps):

@@ -25,7 +25,7 @@ at it or worse; what that is worth is told by `least_squares_error`.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,7 +38,7 @@ from xihe_blender.io.budget_results import PARTS, BudgetResults, ObjectBudget
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import RunOutputs, write_json
-from xihe_blender.jobs import Job, Progress, part_of, shown
+from xihe_blender.jobs import Job, Progress, Steps, part_of, shown
 from xihe_blender.previs.budget_chain import (
     EVERY_FRAME,
     LightInUse,
@@ -249,7 +249,7 @@ class _Budget:
         )
         return next(same, frame)
 
-    def of_object(self, name: str) -> Generator[None, None, SeedErrors | None]:
+    def of_object(self, name: str) -> Steps[SeedErrors | None]:
         """The errors of one object: root mean squares over its positions and moments. None if it is never in view."""
         moments: list[_Moment] = []
         for probe in self.run.plan.probes_of(name):
@@ -264,7 +264,7 @@ class _Budget:
             with_perfect={part: _root_mean(one.squared_error(part) for one in moments) for part in simulated},
         )
 
-    def _of_position(self, probe: Probe) -> Generator[None, None, list[_Moment]]:
+    def _of_position(self, probe: Probe) -> Steps[list[_Moment]]:
         moments: list[_Moment] = []
         if not self.moments[probe.name]:
             return moments

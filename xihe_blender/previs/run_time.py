@@ -12,14 +12,12 @@ second Blender, some seconds.
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
-from typing import TypeVar
 
 import bpy
 import numpy as np
@@ -29,7 +27,7 @@ from xihe_blender.capture.reference_probe import FEWEST_SAMPLES, ProbeSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import GroundTruth, open_comparer
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.jobs import Job, Progress, shown
+from xihe_blender.jobs import Job, Progress, Steps, shown, timed
 from xihe_blender.previs.budget_seeds import N_SEEDS
 from xihe_blender.previs.error_budget import MOST_LOOKS, N_MOMENTS
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
@@ -41,10 +39,6 @@ from xihenet.formats import format_duration
 from xihenet.light.reflections import N_DIRECTIONS
 from xihenet.records import ObjectLight, Reflections, RgbdFrame
 from xihenet.walk.placement import evenly_chosen
-
-Made = TypeVar("Made")
-Steps = Generator[None, None, Made]
-"""What can be left between two renders."""
 
 FEW_SAMPLES = 4
 LONGEST_S = 4.0
@@ -103,23 +97,9 @@ def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTim
     plan, loaded = plan_previs(scene, settings), load_estimators(replace(settings, backend=None))
     with tempfile.TemporaryDirectory(prefix="xihe_") as folder, scene_kept():
         outputs = RunOutputs(Path(folder), "scene")
-        survey, surveyed_s = yield from _timed(survey_path(scene, plan))
-        run, prepared_s = yield from _timed(prepare_run(scene, plan, survey, outputs, settings, loaded))
+        survey, surveyed_s = yield from timed(survey_path(scene, plan))
+        run, prepared_s = yield from timed(prepare_run(scene, plan, survey, outputs, settings, loaded))
         return (yield from _measured(run, surveyed_s + prepared_s))
-
-
-def _timed(job: Job[Made]) -> Job[tuple[Made, float]]:
-    """A job: the result of `job`, and the seconds that it worked; between its steps a window waits for its user."""
-    spent_s = 0.0
-    with contextlib.closing(job):
-        while True:
-            start = time.perf_counter()
-            try:
-                progress = next(job)
-            except StopIteration as finished:
-                return finished.value, spent_s + time.perf_counter() - start
-            spent_s += time.perf_counter() - start
-            yield progress
 
 
 def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:

@@ -27,7 +27,6 @@ Not here: noise that a phone's sensor adds, and the pictures of the comparison, 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -37,7 +36,7 @@ from numpy.typing import ArrayLike
 
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import open_scanner
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, timed
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import Preset, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
@@ -149,7 +148,7 @@ def measure_sample_count(
     With `settings.samples` these, and nothing is rendered. The same goes for a path that never sees a position: it
     gets the maximum. The same seed gives the same numbers.
     """
-    preset, start = settings.preset_values, time.perf_counter()
+    preset = settings.preset_values
     if settings.samples is not None:
         return SampleCount(settings.samples)
     views = pilot_views(plan, survey)
@@ -158,10 +157,9 @@ def measure_sample_count(
     n_small = pilot_samples(preset)
     capture = replace(settings.capture(plan.size, n_small), light_transport=light_transport)
     measuring = measure_captures(scene, views, capture, exposure, settings.n_anchors, settings.trigger_in_use)
-    noise, change = yield from measuring
+    (noise, change), pilot_s = yield from timed(measuring)
     n_samples = samples_taken(preset, noise, settings.noise_aim)
-    elapsed_s = time.perf_counter() - start
-    return SampleCount(n_samples, noise.noise(n_samples), elapsed_s, change * min(1.0, n_small / n_samples))
+    return SampleCount(n_samples, noise.noise(n_samples), pilot_s, change * min(1.0, n_small / n_samples))
 
 
 def pilot_samples(preset: Preset) -> int:
