@@ -9,6 +9,7 @@ import pytest
 from addon_runs import enable_preferences
 from previs_runs import walk
 
+from xihe_blender.addon import leftovers
 from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
 from xihe_blender.addon.modal_job import RunUnderWay
 from xihe_blender.addon.panels import ended_elsewhere
@@ -51,6 +52,20 @@ def test_a_run_whose_scene_was_renamed_is_shown_there_and_one_whose_scene_was_de
         run.find_scene()
     del hall[ROOM]
     hall.name = asked
+
+
+def test_the_run_of_a_scene_that_is_linked_is_another_files(tmp_path, addon):
+    run, job = saved_for_run(bpy.context.scene, tmp_path, {}), bpy.context.window_manager.xihe
+    kitchen = bpy.data.scenes.new("Kitchen")
+    kitchen.xihe.begun_run = str(run.folder)
+    leftovers._look_for_run()
+    assert job.unshown_run == str(run.folder)
+    bpy.data.libraries.write(str(tmp_path / "kitchen.blend"), {kitchen})
+    bpy.data.scenes.remove(kitchen)
+    with bpy.data.libraries.load(str(tmp_path / "kitchen.blend"), link=True) as (_, linked):
+        linked.scenes = ["Kitchen"]
+    leftovers._look_for_run()
+    assert job.unshown_run == ""
 
 
 def test_a_run_that_ends_while_another_scene_is_shown_is_said_there(finished, addon):

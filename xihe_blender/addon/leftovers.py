@@ -62,7 +62,8 @@ def _look_for_run() -> None:
     And one that has ended, if the file was closed without saving: see `properties._unshown_run`.
     """
     _show_run_beside()
-    begun = [scene.xihe.begun_run for scene in bpy.data.scenes]
+    # Runs of a scene that is linked are another file's.
+    begun = [scene.xihe.begun_run for scene in bpy.data.scenes if scene.library is None]
     bpy.context.window_manager.xihe.newest_run = str(newest_run(bpy.data.filepath, begun) or "")
 
 
