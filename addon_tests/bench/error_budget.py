@@ -421,10 +421,8 @@ def measure(case: Case, parts: Iterable[str]) -> SeedErrors:
 
 
 def main() -> None:
-    options, orders = (
-        given(__doc__, "out", "scenes+", phone="perfect", network=(str, None), step=4, seeds=N_SEEDS, anew=1),
-        [],
-    )
+    options = given(__doc__, "out", "scenes+", phone="perfect", network=(str, None), step=4, seeds=N_SEEDS, anew=1)
+    orders = []
     for file in options.scenes:
         scene, out = opened(file), options.out / file.stem
         settings = PrevisSettings(

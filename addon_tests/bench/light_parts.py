@@ -65,11 +65,8 @@ def walked_scene(file: Path, out: Path, settings: PrevisSettings) -> tuple[Prepa
     bpy.context.view_layer.update()
     plan = plan_previs(scene, settings)
     outputs = RunOutputs(out, file.stem)
-    run = run_blocking(
-        prepare_run(
-            scene, plan, run_blocking(survey_run(scene, plan, outputs)), outputs, settings, load_estimators(settings)
-        )
-    )
+    survey = run_blocking(survey_run(scene, plan, outputs))
+    run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
     return run, run_blocking(walk_path(run))
 
 
