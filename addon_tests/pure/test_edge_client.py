@@ -236,9 +236,7 @@ def test_a_proxy_that_answers_with_a_page_is_said():
     page = answer_of(502, b"<html>Bad Gateway</html>", "Content-Type: text/html; charset=utf-8")
     with contextlib.closing(BadServer(page)) as server:
         url = f"http://127.0.0.1:{server.port}"
-        said = (
-            f"^{url} does not answer: something that is no edge service answers there, with text/html and status 502"
-        )
+        said = f"^{url} does not answer: something that is no edge service answers there, with text/html and status 502"
         with pytest.raises(NoAnswer, match=said):
             EdgeBackend(url, N, patience=QUICK)
 
