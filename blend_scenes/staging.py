@@ -1,4 +1,4 @@
-"""What every scene has in common: the settings, the phone and its walk, the virtual objects, the saved file.
+"""The staging of every scene: its settings, the phone and its walk, the virtual objects, the saved file.
 
 The phone moves by one key per frame instead of a path constraint: what a recorded walk looks like, and nothing for a
 reader to evaluate. Time: 24 captured frames are every 15th of a 30 Hz phone, that is 12 s of walking.

@@ -1,4 +1,4 @@
-"""What goes wrong because of what the user gave, said in one line that names the fix."""
+"""Errors of the user's input, said in one line that names the fix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How is long work run so that it shows progress, stops cleanly and can be driven in two ways?
+"""Jobs: long work that shows progress, stops cleanly and can be driven in two ways.
 
 A job is a generator that yields `Progress` between its steps and has nothing half-written at any yield. `run_blocking`
 drives one from the command line or a script; the panel's modal operator drives the same generator one step per tick.

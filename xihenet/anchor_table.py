@@ -1,4 +1,4 @@
-"""Which anchor is nearest to a direction, for the price of one look-up?
+"""The anchor table: which anchor is nearest to a direction, for the price of one look-up?
 
 The sphere is cut into small cells once per lattice. A cell that lies wholly in the Voronoi cell of one anchor stores
 that anchor, and the look-up is right there by construction. Any other cell stores the number of a short list of the

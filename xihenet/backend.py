@@ -1,4 +1,4 @@
-"""Where does an estimate come from: this machine, or another one? And what if it cannot be known?
+"""The backend: does an estimate come from this machine or from another one, and what if it cannot be known?
 
 The controller asks an `InferenceBackend` and does not know. What it gets back is a `LightEstimate` in any case: of a
 light that cannot be known, or that comes back NaN, it says so and why, and the one who asked keeps the light before.

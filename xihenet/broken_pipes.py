@@ -1,4 +1,4 @@
-"""What is a write to a connection or a pipe whose other end is gone? An OSError, inside Blender too.
+"""Broken pipes: a write to a connection or a pipe whose other end is gone is an OSError, inside Blender too.
 
 Python by itself ignores SIGPIPE and raises BrokenPipeError. Blender's Python leaves the signal as it is, and it would
 end Blender. To ignore it for the whole process was rejected: Blender and other add-ons have a say in that.

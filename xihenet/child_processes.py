@@ -1,4 +1,4 @@
-"""What does a process need that works beside this one, on one core?"""
+"""Child processes that work beside this one, each on one core: what do they need?"""
 
 from __future__ import annotations
 

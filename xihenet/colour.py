@@ -1,4 +1,4 @@
-"""How does light relate to the numbers in a picture? The sRGB transfer (IEC 61966-2-1), both ways.
+"""Colour: how does light relate to the numbers in a picture? The sRGB transfer (IEC 61966-2-1), both ways.
 
 The exact piecewise curve is used, not a power of 2.2: a round trip through 8 bits then returns every code, and dark
 anchors keep their light. Its two published thresholds meet only to 1e-7, far below half an 8-bit step.

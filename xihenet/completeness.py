@@ -1,4 +1,4 @@
-"""How much of the light around a position has been seen?
+"""Completeness: how much of the light around a position has been seen?
 
 Coverage is the share of anchors that are set: the paper's observation completeness, and what the trigger and the report
 use. Joint entropy, the paper's equation 1, also asks how evenly the points of a cloud are spread, at several scales at

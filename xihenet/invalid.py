@@ -1,4 +1,4 @@
-"""What became of data that cannot be used, and why? Counts by reason, which travel with the records.
+"""Invalid data: what became of it, and why? Counts by reason, which travel with the records.
 
 Nothing that is left out or clamped goes unnamed: a frame, a cloud and a step each carry how many of their pixels or
 points it befell, by one of these reasons or by the name of the phone's effect that took a pixel. Reasons without a

@@ -1,4 +1,4 @@
-"""How good is an estimator where no light probe has been? What a frame shows that it was not given, tells.
+"""Left-out frames: how good is an estimator where no light probe has been? What a frame shows that it was not given.
 
 Of a session, some frames are given and the others left out. The light is estimated from those that are given, and in
 the directions that only the others show it is held against what they show. That needs no truth, so it can be asked of

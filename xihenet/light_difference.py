@@ -1,4 +1,4 @@
-"""How different are the lights that two clouds show?
+"""The difference of two lights: how unlike are those that two clouds show?
 
 Each cloud's light is the fast fit of `project_anchors`, with the statistics of rooms where nothing was seen; the share
 by which two of them differ is asked of each colour channel, and the channel that differs most counts, so that a lamp

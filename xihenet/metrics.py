@@ -1,4 +1,4 @@
-"""How wrong is a light, and how wrong does a picture under it look? Numbers that stay finite.
+"""Metrics: how wrong is a light, and how wrong does a picture under it look? Numbers that stay finite.
 
 The usual protocol for lighting estimation: spheres (mirror, silver, diffuse) rendered under both lights and compared
 inside their alpha by RMSE, scale-invariant RMSE and RGB angular error, plus PSNR and SSIM of the displayed picture and

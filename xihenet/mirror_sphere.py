@@ -1,4 +1,4 @@
-"""What does a mirror sphere at the estimation position tell the phone of the light there?
+"""A mirror sphere at the estimation position: what does it tell the phone of the light there?
 
 The way of GLEAM (Prakash, Bahremand, Nguyen and LiKamWa, MobiSys 2019): a real mirror sphere stands where the virtual
 object will, and each of its pixels in the camera's picture is light from the direction that it reflects. It has to be

@@ -1,4 +1,4 @@
-"""Where does the light of pixels without a distance come into the room?
+"""Openings: where does the light of pixels without a distance come into the room?
 
 Sky behind a window has no distance, nor have panes, and dark and glossy things that a phone's sensor misses. Their
 light is real. From far away it would fill the directions in which the camera saw the window, which need not be those

@@ -1,4 +1,4 @@
-"""Which part of the sphere does each texel of a panorama see, and what are the panorama's spherical harmonics?
+"""Panoramas: which part of the sphere does each texel see, and what are the panorama's spherical harmonics?
 
 Convention: row 0 is straight up (+Z). From the left edge to the right the columns look along -Y, -X, +Y (the middle),
 +X and -Y again: what lies to the right of the middle is +X, as in Blender's upright equirectangular camera.

@@ -1,4 +1,4 @@
-"""Which choices are worth considering, when each has an error and a cost? Both are better the smaller they are.
+"""The Pareto front: which choices are worth considering, when each has an error and a cost? Less is better of both.
 
 A choice is dominated if another is no worse in both and better in one; those that are not form the front. Ties stay
 together: two choices of equal error and equal cost are both on it, or both off. The front is that of the plain numbers,

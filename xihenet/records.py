@@ -1,4 +1,4 @@
-"""What passes between the stages of the chain: frozen records that check themselves.
+"""Records that pass between the stages of the chain: frozen, and they check themselves.
 
 Each record is checked once, where it is made, so that no stage has to doubt its input. Arrays are converted to the
 stated type and kept as read-only views; the caller's own array stays writable. A wrong shape, a wrong type or a value

@@ -1,4 +1,4 @@
-"""Which of a frame's many points say what light arrives at one position?
+"""Sampling on the unit sphere: which of a frame's many points say what light arrives at one position?
 
 Unit-sphere sampling, the paper's choice: every point is projected to the unit sphere around the position, goes to its
 nearest anchor, and the nearest point wins the anchor, since it hides what lies behind it. Distance and colour of an

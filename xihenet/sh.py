@@ -1,4 +1,4 @@
-"""What can be done with light in spherical harmonics: fit it, turn it, shine it on surfaces, keep it from ringing.
+"""Light in spherical harmonics: fit it, turn it, shine it on surfaces, keep it from ringing.
 
 Conventions: real, orthonormal, no Condon-Shortley sign, index l*l + l + m, arrays ((order + 1)^2, 3), axes of the
 Blender world, radiance coefficients: the integral of radiance x Y over the sphere. The basis is in `sh_basis` and

@@ -1,4 +1,4 @@
-"""What are the values of the real spherical harmonics in given directions?
+"""The basis: what are the values of the real spherical harmonics in given directions?
 
 The basis is orthonormal and real, carries no Condon-Shortley sign, and is indexed l*l + l + m: so the three functions
 of l = 1 are sqrt(3 / (4 pi)) times y, z, x, all positive towards their axis.

@@ -1,4 +1,4 @@
-"""Which directions stand for the whole sphere, and which of them is nearest to a given one?
+"""The sphere: which directions stand for all of it, and which of them is nearest to a given one?
 
 The anchors are the reference's Fibonacci lattice with its pole on +Z, in the same index order, so that a record on the
 wire means the same direction (the paper's section on unit-sphere sampling). Three ways to find the nearest anchor stay

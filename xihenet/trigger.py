@@ -1,4 +1,4 @@
-"""When is a new estimate worth its cost, and why?
+"""The trigger: when is a new estimate worth its cost, and why?
 
 The paper pools the change of each anchor's colour over a window of neighbouring anchors and fires when any pooled
 change exceeds theta. It counts an anchor that was never seen before as a change from black, so a moving camera fires on

@@ -1,4 +1,4 @@
-"""What of the add-on does Blender have registered? These modules, in this order, and gone again in reverse.
+"""The add-on's registration: these modules, in this order, and gone again in reverse.
 
 The extension's `__init__.py` calls `register(__package__)`. Nothing that is imported for it imports NumPy, OpenEXR or
 torch: operators import what needs these when they run, so that Blender starts as fast with the add-on as without.

@@ -1,4 +1,4 @@
-"""What the second Blender of a run does, given this script with `--python`, and `-- COPY.blend FOLDER...` behind it.
+"""The script of a run's second Blender, given with `--python`, and with `-- COPY.blend FOLDER...` behind it.
 
 Run by its path, before anything of ours can be imported: the folders hold our packages. Writes work/progress.json
 beside the copy after each step of the run, and holds work/lock while it lives, however it ends.

@@ -1,4 +1,4 @@
-"""What can be chosen in the panel's lists, where the science knows it?
+"""The choices of the panel's lists: what can be chosen, where the science knows it?
 
 Blender keeps an enum as a number. The number of an item is made from its name, so that a saved file keeps its choice
 when a list grows. Lists are made once and kept: Blender does not hold on to the texts that a callback hands out.

@@ -1,4 +1,4 @@
-"""How does an operator say that it could not do what was asked? In one line, and as the last error of the panel."""
+"""Failures of operators: said in one line, and kept as the last error of the panel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run has in the file while it is under way must not come back: by Undo, or from a file saved meanwhile.
+"""Leftovers of a run under way, which must not come back: by Undo, or from a file saved meanwhile.
 
 Working scenes are the file's own data while a run lasts. Where one was kept in a step of Undo or in a file, it goes as
 soon as it is back. An Undo in the middle of a run ends the run, since it takes the run's scenes away.

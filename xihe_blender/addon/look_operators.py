@@ -1,4 +1,4 @@
-"""Where should the phone look to know the light of an object better? Asked of the last run's frames, and shown.
+"""A better look: where should the phone look to know an object's light better? Asked of the last run, and shown.
 
 The advice lives in the window manager: it is of a run, not of the file. `advice_for` is what panel and overlay show.
 """

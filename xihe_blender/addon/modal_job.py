@@ -1,4 +1,4 @@
-"""How does an operator run for minutes without taking Blender away? One job, driven in two ways.
+"""A modal job: an operator runs for minutes without taking Blender away. One job, driven in two ways.
 
 In a window the operator comes back to its job a step per tick of a timer, and Esc ends it; in background, or called by
 a script without a window's event, it drives the job to its end. A job that only follows another process leaves Undo and

@@ -1,4 +1,4 @@
-"""Which objects are virtual? The selected ones, or three spheres at the 3D cursor."""
+"""Virtual objects in the panel: the selected ones become virtual, or three spheres at the 3D cursor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where is light estimated, and how much of the surroundings was seen from there? Drawn over the 3D view.
+"""The overlay of the 3D view: where is light estimated, and how much of the surroundings was seen from there?
 
 A disc at each estimation position, coloured by its coverage in the last run, with its name and share. Discs are drawn
 in the picture's plane and over everything: a position lies inside its object. Where it was asked where the phone should

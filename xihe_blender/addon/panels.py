@@ -1,4 +1,4 @@
-"""What does an artist see? The tab "Xihe" in the sidebar of the 3D view: the chain from top to bottom, a panel a stage.
+"""The panels: the tab "Xihe" in the sidebar of the 3D view, the chain from top to bottom, a panel a stage.
 
     Virtual Objects, Camera Path, Effects, Estimator, Run, Apply, Results
 

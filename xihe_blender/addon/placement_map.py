@@ -1,4 +1,4 @@
-"""Where in the room will AR light fail? The placement map over the 3D view, its legend, and the place under the mouse.
+"""The placement map over the 3D view: where will AR light fail? With its legend, and the place under the mouse.
 
 The map is made from the frames of the last run, without a render, as `xihe placement` makes it. Squares, legend and
 words are drawn over the view in any shading; the mesh behind them is `apply.placement_map`'s. Where the mouse is a

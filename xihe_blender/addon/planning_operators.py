@@ -1,4 +1,4 @@
-"""What does a run simulate, and what does it cost on the user's machine? Found out only when asked for."""
+"""Planning from the panel: what does a run simulate, and what does it cost on the user's machine?"""
 
 from __future__ import annotations
 

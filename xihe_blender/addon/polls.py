@@ -1,4 +1,4 @@
-"""Why can an operator not run now? One function per reason: it gives the sentence that Blender shows, or None.
+"""Polls: why can an operator not run now? One function per reason gives the sentence that Blender shows, or None.
 
 Each operator lists what it needs, and the grey button says the first that is missing. Conditions run at every redraw,
 so they look at names and flags alone.

@@ -1,4 +1,4 @@
-"""What holds for all files of a user: which phone to begin with, and where runs are kept.
+"""The preferences, for all files of a user: which phone to begin with, and where runs are kept.
 
 The device that Cycles renders on is Blender's own preference, and is shown here as it is.
 """

@@ -1,4 +1,4 @@
-"""What does the panel remember: of a scene, in its file, and of the job under way, in the window manager?"""
+"""The panel's properties: of a scene, in its file, and of the job under way, in the window manager."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What came out of the last run: triggers on the timeline, pictures beside the truth, the report."""
+"""Results of the last run: triggers on the timeline, pictures beside the truth, the report."""
 
 from __future__ import annotations
 

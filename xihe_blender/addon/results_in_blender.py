@@ -1,4 +1,4 @@
-"""How do a run's results show up in Blender itself? As curves, as pictures, and on the timeline.
+"""Results in Blender itself: a run as curves, as pictures, and on the timeline.
 
 The worlds that light the virtual objects carry their error and coverage as keyed custom properties, so that the Graph
 Editor shows them above the light's own curves. Two kinds of images show one frame: the estimated light of each object,

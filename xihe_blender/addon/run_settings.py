@@ -1,4 +1,4 @@
-"""What does Run do with this scene? The panel's properties, as the settings that the work takes; and a run by them.
+"""The settings of Run for a scene: the panel's properties, as the settings that the work takes; and a run by them.
 
 Imported when an operator runs: it needs the work modules, and they need NumPy.
 """

@@ -1,4 +1,4 @@
-"""Where are runs from the panel kept, and which of them does the open file show?
+"""The folder of runs from the panel: where are they kept, and which of them does the open file show?
 
 Nothing heavy is imported: panels and preferences ask at every redraw. Results, with thousands of numbers, are read once
 per file, so that a redraw costs a look at its date. Rejected: copies of the numbers that the panel shows as properties

@@ -1,4 +1,4 @@
-"""What of a run is in the open file? Its worlds, markers and images, known by their names and by what made them.
+"""Datablocks of a run in the open file: worlds, markers and images, known by their names and by what made them.
 
 The panel asks at every redraw whether there is anything to remove, so nothing here needs NumPy; what makes these things
 is in `sh_worlds` and `addon.results_in_blender`.

@@ -1,4 +1,4 @@
-"""How does the key light of an estimate become light in Blender? A sun for each virtual object, beside its world.
+"""Key suns: the key light of an estimate as light in Blender, a sun for each virtual object beside its world.
 
 The world then holds what is left of the estimate: both together are the estimate, so nothing is lit twice. A sun of
 another object must not shine here, so each has a collection of its own that only one view layer includes.

@@ -1,4 +1,4 @@
-"""How does an object get its reflections? Glossy and transmission rays see a picture, all others the world's SH.
+"""Reflection pictures: glossy and transmission rays see a picture, all others the world's SH.
 
 `Is Glossy Ray` and `Is Transmission Ray` choose between two backgrounds. Cycles must not sample such a world by its
 importance map, which knows one background for all rays: with sampling method NONE each kind of ray gets its own light,

@@ -1,4 +1,4 @@
-"""How does an estimate become light in Blender? A World per virtual object, whose background is the SH itself.
+"""SH worlds: an estimate as light in Blender, a World per virtual object whose background is the SH itself.
 
 The node group `Xihe SH Radiance` evaluates nine vector coefficients in the direction that Cycles looks into a world and
 multiplies the sum by a gain. Nothing is clamped: Cycles takes negative radiance as it is, and a clamp at 0 would add

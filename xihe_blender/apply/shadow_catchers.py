@@ -1,4 +1,4 @@
-"""How does an object's shadow fall on the room, where the room is only a picture? On a catcher behind the picture.
+"""Shadow catchers: an object's shadow falls on the room, where the room is only a picture.
 
 A catcher is a mesh of the flat surfaces that the phone has seen around a virtual object, in the view layer of that
 object alone. Cycles shades it with and without the object and gives the ratio, by which the picture is multiplied. It

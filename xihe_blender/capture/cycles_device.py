@@ -1,4 +1,4 @@
-"""What does Cycles render on where there is no window to choose it in?
+"""The Cycles device: what does Cycles render on where there is no window to choose it in?
 
 Blender as a module starts with the factory's preferences, in which Cycles may use no graphics card. A whole Blender
 starts with the user's, but a server has none. So a variable of the environment names the kind of device,

@@ -1,4 +1,4 @@
-"""How does the phone see a real mirror sphere at an estimation position? Rendered with Cycles in the room.
+"""A real mirror sphere at an estimation position, as the phone sees it: rendered with Cycles in the room.
 
 The part of the phone's colour picture that shows the sphere, as fine as phones take it: a depth picture of 256x192 has
 1920x1440 pixels of colour beside it. The sphere is a part of the room: it shades it and is reflected in it.

@@ -1,4 +1,4 @@
-"""What does a range sensor meet in each pixel? Reflectance, transmission and roughness, from the capture's own render.
+"""Surfaces that a range sensor meets, by pixel: reflectance, transmission, roughness, from the capture's own render.
 
 Passes of the working scene's view layer bring them without another render and without a change to a material: the
 colour passes say how much light comes back and goes through, textures included, and Cryptomatte says which material it

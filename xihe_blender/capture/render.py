@@ -1,4 +1,4 @@
-"""How do we render with Cycles and get arrays back, without touching the user's scene?
+"""A render with Cycles that comes back as arrays, without touching the user's scene.
 
 Chosen: a working scene, a copy that shares the objects and owns its settings, its frame and its view layers. The user's
 settings are never changed, so there are none to restore after an error, a cancel or a crash. What rendering writes into

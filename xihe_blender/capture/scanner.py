@@ -1,4 +1,4 @@
-"""What would the phone see? One Cycles render gives its colour and its plane depth.
+"""The scanner: what would the phone see? One Cycles render gives its colour and its plane depth.
 
 The room without the virtual objects is rendered from the scene's camera at the frame in question. Colour is exposed,
 clipped and encoded to 8 bits as a phone delivers it; plane depth is Cycles' Z pass, taken through the pixel centres.

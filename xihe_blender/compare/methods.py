@@ -1,4 +1,4 @@
-"""How close does an estimated light come to the real one, in the picture?
+"""Methods compared: how close does an estimated light come to the real one, in the picture?
 
 Ground truth is the room and the virtual objects path-traced together. A method's picture is each virtual object under
 its own estimated light, over the captured frame: a view layer per method and object with a world override and, where

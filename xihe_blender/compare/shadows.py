@@ -1,4 +1,4 @@
-"""How close does the shadow of an object come to the real one, in the picture?
+"""Shadows compared: how close does the shadow of an object come to the real one, in the picture?
 
 The captured frame is multiplied by what Cycles says of the catchers: the light on the surface with the object
 over that without it (differential rendering, after Debevec, 1998). It counts in a ring around the objects, where there

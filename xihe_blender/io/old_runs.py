@@ -1,4 +1,4 @@
-"""How much space do runs from the panel take, and which of them can go?
+"""Old runs: how much space do runs from the panel take, and which of them can go?
 
 Each run from the panel is a folder of its own, named by file and time, in one that the user may share with other
 things. So a run is known by its name and by what only a run writes, and nothing else is ever touched. One that has not

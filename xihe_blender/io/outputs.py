@@ -1,4 +1,4 @@
-"""Which files does a run leave, and where? Every name is known before the run starts.
+"""The outputs of a run: which files does it leave, and where? Every name is known before the run starts.
 
 `RunOutputs` names them all; nothing else in the project builds an output path. Files are written beside their place and
 renamed, so that a name that exists is a file that is whole.

@@ -1,4 +1,4 @@
-"""What results say about a captured camera path, whatever was asked of it. Strict JSON: no NaN and no Infinity."""
+"""Results of a captured camera path, whatever was asked of it. Strict JSON: no NaN and no Infinity."""
 
 from __future__ import annotations
 

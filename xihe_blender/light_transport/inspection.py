@@ -1,4 +1,4 @@
-"""How do we see the scene as Cycles would be given it, frame by frame, without rendering?
+"""The inspection of a scene as Cycles would be given it, frame by frame, without rendering.
 
 Chosen: a render engine of our own, registered for a moment, that looks instead of rendering. Blender hands it what it
 hands Cycles: the dependency graph in render mode, with render visibility, excluded collections, instances, modifiers as

@@ -1,4 +1,4 @@
-"""What an error budget renders beside the captures of the path: looks around, and satin balls under the true light.
+"""Renders of an error budget beside the captures of the path: looks around, and satin balls under the true light.
 
 Everything is kept file by file in the folder of the budget, and rendered once; where the light does not change, one
 look from an object and one ball serve for all moments.

@@ -1,4 +1,4 @@
-"""Which frames of the path are compared with the ground truth, and what is left of each comparison?
+"""Comparisons along the path: which frames are compared with the ground truth, and what is left of each?
 
 Every n-th frame in which the chain ran, by the preset, and the last. A comparison is read where an earlier part of the
 run kept it, taken over from an earlier frame where scene, camera, capture and lights are the same, else rendered; see

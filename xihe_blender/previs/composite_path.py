@@ -1,4 +1,4 @@
-"""How do the virtual objects look in a phone's recording? Over its frames, under the estimated light, as a film.
+"""Composites along the path: the virtual objects in a phone's recording, under the estimated light, as a film.
 
 Of a recording nothing can be compared, so every frame is shown. Shadows fall on the scan of the recording, or on flat
 surfaces in it where the scene has none any more. Frames before there is any light show the recording alone.

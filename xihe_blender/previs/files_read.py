@@ -1,4 +1,4 @@
-"""Which files besides the open .blend does a render read?
+"""Files that a render reads besides the open .blend.
 
 Who takes up earlier work asks whether one of them has changed since. They are patterns of `glob`, so that their content
 can be looked at again without Blender, and a frame that joins a sequence is seen as well.

@@ -1,4 +1,4 @@
-"""Where are the estimation positions at each frame, if virtual objects move along the path?
+"""Movement of virtual objects: where are the estimation positions at each frame, if they move along the path?
 
 They keep their share of the object's box, which turns as the object does: so an object that moves by keys, parents,
 constraints, bones or physics takes them with it, and one that spins or breathes hardly does. Rejected: splitting the

@@ -1,4 +1,4 @@
-"""Where in the room will AR light fail? The light at every place where an object could stand, at the end of the path.
+"""The placement map: where in the room will AR light fail, at the end of the path, of all places for an object?
 
 The path is captured once, without virtual objects; then the chain runs on the captures for each place, and nothing more
 is rendered (`kept_session`). What cannot be known so, the true error, is measured at a few places on request.

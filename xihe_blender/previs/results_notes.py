@@ -1,4 +1,4 @@
-"""What has a reader of a run to know, in sentences? How its numbers came about, what is wrong, what is missing."""
+"""Notes on results, in sentences: how the numbers came about, what is wrong, what is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does the phone believe about the light at each frame of the camera path?
+"""The chain, run along the camera path: what does the phone believe about the light at each frame?
 
     capture -> unproject -> sample -> merge -> trigger -> encode -> estimate
 

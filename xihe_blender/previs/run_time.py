@@ -1,4 +1,4 @@
-"""How long would a run take on this machine? Measured on a few renders of the scene itself, not guessed from its size.
+"""The time of a run on this machine, measured on a few renders of the scene itself, not guessed from its size.
 
 The run is prepared as it would be (exposure, effects, samples for the noise that is wanted, frames in which nothing
 changes), in a folder that goes again. Then a capture, a light probe and a comparison are rendered, after a first one

@@ -1,4 +1,4 @@
-"""How many samples must Cycles take so that its noise does not matter for the light that is estimated?
+"""The sample count: how many must Cycles take so that its noise does not matter for the light that is estimated?
 
 The quantity that matters is the light at the estimation positions as nine SH coefficients. Before the walk a pilot
 renders a few frames of it at two small numbers of samples with seeds of their own, fits how the error of these

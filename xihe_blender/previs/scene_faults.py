@@ -1,4 +1,4 @@
-"""What of a scene cannot be lit or believed as it stands, and what does a run say of it?
+"""Faults of a scene: what of it cannot be lit or believed as it stands, and what does a run say of it?
 
 Cycles drops a sample that is not finite without a word: a lamp of NaN watts gives a black room, and so does an emission
 whose light overflows single precision. Chosen: such numbers are refused by name before anything is rendered; what is

@@ -1,4 +1,4 @@
-"""What can a user choose for a previs run, and what do the presets choose for them?
+"""The settings of a previs run: what can a user choose, and what do the presets choose for them?
 
 Presets are points on the front of error against time (`xihe frontier`, docs/frontier.md). Their noise targets are what
 `living_room`, the noisiest of the example scenes, has with some 4, 16 and 64 samples per capture at 256x192. The others

@@ -1,4 +1,4 @@
-"""What light is there really at each estimation position? What the method `truth` lights objects with, as rendered."""
+"""The true light at each estimation position: what the method `truth` lights objects with, as rendered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where in space is the light of a virtual object estimated?
+"""Estimation positions: where in space is the light of a virtual object estimated?
 
 One position stands for a small object (the paper's setting). An object bigger than SPACING_M gets several, the
 centres of an even split of its world bounding box, so that a long shelf is not lit as one point. Where an object moves

@@ -1,4 +1,4 @@
-"""Which recording does a scene show, and at which of its frames is each moment of it?
+"""The recording that a scene shows: which is it, and at which frame is each of its moments?
 
 An imported scene remembers its recording, relative to the .blend where that is saved, and what was set of it by hand.
 Each frame of the recording has a whole frame of the timeline: between two keys a camera would be somewhere between two

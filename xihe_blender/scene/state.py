@@ -1,4 +1,4 @@
-"""What does rendering a copy of the scene change in the user's own, and how is it put back?
+"""The state of the user's scene: what does rendering a copy of it change there, and how is it put back?
 
 A working scene shares its objects with the user's. Blender's render operator writes the values of F-curves, NLA and
 drivers at the rendered frame into those shared objects, materials and worlds. A user who has moved an animated object

@@ -1,4 +1,4 @@
-"""What is a metre in this scene? What Blender's own panels call one.
+"""Units: what is a metre in this scene? What Blender's own panels call one.
 
 Phones' ranges, the spacing of estimation positions and the estimators' distances are in metres. A Blender unit is as
 many of them as the scene's unit scale says (Scene > Units), or one where the unit system is None, since Blender then

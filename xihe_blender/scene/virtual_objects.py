@@ -1,4 +1,4 @@
-"""Which objects are virtual?
+"""Virtual objects: which of a scene's objects are virtual?
 
 Virtual objects are what the phone would insert: they live in the collection `Xihe Virtual`, and everything outside it
 is the room. A collection was chosen over a custom property because it shows in the outliner, hides as one and can be

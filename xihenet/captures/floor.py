@@ -1,4 +1,4 @@
-"""Which way is up in a recording that does not say it? The floor knows.
+"""The floor of a recording tells which way is up, where the recording does not say it.
 
 Some frames are read, and every pixel of theirs votes with its surface's normal, by the area that it shows. Of the
 normals within `WITHIN_DEG` of the axis that is usual for the format, the largest group is the floor's, tables'

@@ -1,4 +1,4 @@
-"""Which gain has each frame, if ratios are known for some pairs of frames?
+"""The gain graph: which gain has each frame, if ratios are known for some pairs of frames?
 
 Least squares of logarithms over the graph of pairs, each channel by itself, with that of a reference held at 0. Pairs
 that contradict the others, such as those on both sides of a moved lamp, are weighed down as Huber does. Sums along the

@@ -1,4 +1,4 @@
-"""Which surfaces does a recording show? One mesh of all of its depth, coloured as it was seen.
+"""The scan of a recording: its surfaces as one mesh of all of its depth, coloured as it was seen.
 
 Signed distances are averaged over the frames in voxels near surfaces (Curless and Levoy, 1996), and where they change
 their sign lie the faces: one quad for each edge between two voxels, its corners in the middle of the crossings around

@@ -1,4 +1,4 @@
-"""Which pixels of one frame show a surface that points of other frames lie on? For checks of a recording by itself.
+"""Pixels of one frame that show a surface of other frames' points again, for checks of a recording by itself.
 
 A point is compared with the pixel that it falls on, not with a mean of those around it: between a near and a far
 surface a mean is neither. Pixels at edges of depth are left out for the same reason: their colour is mixed, and half a

@@ -1,4 +1,4 @@
-"""How well does a recording fit itself, under the conventions as read and under others?
+"""The fit of a recording with itself, under the conventions as read and under others.
 
 Points of each frame are projected into the others; those that fall on a measured surface should lie on it. Compared are
 frames that are turned or moved against each other: others agree under any convention. Everything is kept as thin as the

@@ -1,4 +1,4 @@
-"""What all routes of the edge service share: CORS, the bearer token, errors as JSON, metrics and logs.
+"""The handler that all routes of the edge service share: CORS, the bearer token, errors as JSON, metrics and logs.
 
 A handler reads a request, calls the service and writes its answer. What is refused, by the service or since the request
 is wrong, is a `Refused` and becomes the status that it says; any other exception is a fault of ours, 500 and logged.

@@ -1,4 +1,4 @@
-"""How sessions and positions lie in a store outside the process: compact bytes that carry a version.
+"""Sessions and positions, stored outside the process: compact bytes that carry a version.
 
 No pickle, which would run what it reads: a store may hold anything. Reading trusts nothing, and a ValueError says that
 the bytes are none of ours. A session is JSON behind its version, a position packed little endian:

@@ -1,4 +1,4 @@
-"""Which estimators are there, and how do I get one?
+"""The estimators: which are there, and how do I get one?
 
 The registry is a table of names, where each lives, and what panel and report say of it. A module is imported when it
 is asked for, so that the report, which knows no NumPy, can read the table. A new estimator is one file and one row.

@@ -1,4 +1,4 @@
-"""What a phone gives today: one colour for light from everywhere.
+"""Ambient light, as a phone gives it today: one colour for light from everywhere.
 
 Stands for the ambient light estimates of ARKit (intensity and colour temperature) and ARCore (intensity and colour
 correction): a constant sphere of light, l = 0 only. The sensor's RGB is used whole: a colour temperature would lose its

@@ -1,4 +1,4 @@
-"""What every estimator promises: a cloud goes in, nine finite coefficients per channel come out.
+"""The protocol of every estimator: a cloud goes in, nine finite coefficients per channel come out.
 
 The checks that all estimators share (anchor count, finite output, what a context must hold) live here once; an
 estimator writes `_estimate`. Each says by `unknown_because` whether the light can be known at all.

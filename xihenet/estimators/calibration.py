@@ -1,4 +1,4 @@
-"""What turns a network's raw expected error into one that can be believed?
+"""The calibration of a network's raw expected error, so that it can be believed.
 
 A mean of it and of the size of the light; a power law of that and what was seen of the sphere, three numbers kept
 in the weights file; and multiples of the expected error that hold a share of the clouds. `xihenet.training.calibration`

@@ -1,4 +1,4 @@
-"""What sizes does the lattice network have, and what of it depends on the anchors alone, and is therefore a table?
+"""The format of the lattice network: its sizes, and what depends on the anchors alone and is therefore a table.
 
 The anchors never move. In which cell of a coarser grid each lies, what the spherical harmonics are in their directions
 and how radiance in the cells becomes coefficients is computed once per number of anchors. NumPy inference

@@ -1,4 +1,4 @@
-"""Which cells of the sphere become each other when a room is turned by an eighth, or mirrored left to right?
+"""The ring grid: which cells become each other when a room is turned by an eighth, or mirrored left to right?
 
 Cells of equal area in rings about the vertical, of 8, 16 or 32 cells each. The sixteen `TURNS`, eighths of a turn with
 and without a mirror, move every cell onto another; a network that looks at a room in all of them with the same weights

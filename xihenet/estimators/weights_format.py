@@ -1,4 +1,4 @@
-"""How are the weights of a network kept, and how is a wrong file told from a right one?
+"""The format of weights: how are those of a network kept, and how is a wrong file told from a right one?
 
 One .npz: named float16 or float32 arrays and a JSON header (format version, estimator, architecture, target, data,
 seed, figures, points). One reader and one writer serve all networks; what their sizes mean stands with each of them.

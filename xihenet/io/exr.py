@@ -1,4 +1,4 @@
-"""How are OpenEXR files read and written with NumPy and zlib alone?
+"""OpenEXR files, read and written with NumPy and zlib alone.
 
 Chosen: what Blender writes and what we write, scan lines without compression or with ZIP, in one part or many, after
 the file layout at openexr.com. Rejected: the OpenEXR package. Its library has the same symbols as the one that a

@@ -1,4 +1,4 @@
-"""How does one RGB-D frame from anywhere become an `RgbdFrame`?
+"""Frame files: how does one RGB-D frame from anywhere become an `RgbdFrame`?
 
 Colour and plane depth come as an OpenEXR file (linear, with a Z pass, as renderers write it) or as a colour image with
 a 16-bit image of plane depth (as phones and depth cameras deliver it); intrinsics and pose come as JSON. Whatever does

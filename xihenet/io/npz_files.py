@@ -1,4 +1,4 @@
-"""How is an .npz file read that may be cut short, damaged, or made by anyone?
+""".npz files that may be cut short, damaged, or made by anyone: how are they read?
 
 NumPy lets whatever goes wrong inside a file come out as what it is deep down: a broken zip or header, a shape larger
 than memory, a member that is encrypted or packed by a method that is not there. Here all of it is one ValueError.

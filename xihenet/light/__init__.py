@@ -1,4 +1,4 @@
-"""What is made of an estimate for those who light with more than spherical harmonics."""
+"""Light that is made of an estimate, for those who light with more than spherical harmonics."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""What does light in spherical harmonics look like: to the eye, and on the field's three spheres?
+"""Pictures of light in spherical harmonics: as the eye sees it, and on the field's three spheres.
 
 The spheres are a mirror, matte silver (roughness 0.3271) and grey diffuse, seen by an orthographic camera that looks
 horizontally along +Y: +X is to the right, +Z is up, and the mirror's centre shows what lies behind the camera, at -Y.

@@ -1,4 +1,4 @@
-"""What does each engine expect of a light: which axes, signs, order and scale, and what of it apart?
+"""Platforms: which axes, signs, order and scale does each engine expect of a light, and what of it apart?
 
 Ours is radiance in the real orthonormal basis of order 2 without signs, index l (l + 1) + m, in Blender's axes: +Z up,
 right-handed. All engines use the same polynomials in their own axes, so a `Convention` is axes, a factor for each

@@ -1,4 +1,4 @@
-"""What glossy things reflect: a finer sphere of directions, filled from the same frames by the same sampling.
+"""Reflections of glossy things: a finer sphere of directions, filled from the same frames by the same sampling.
 
 An estimate of order 2 shows a mirror broad stripes. The phone has seen much of what the mirror would show, though: each
 frame, thinned to as many pixels as that takes, is sampled into more anchors and merged as the estimate's are.

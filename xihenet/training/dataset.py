@@ -1,4 +1,4 @@
-"""How do rooms become clouds with the light they should give, once and not once per epoch?
+"""The data set of training: rooms become clouds with the light they should give, once and not once per epoch.
 
 Each pair of a view and a position in it becomes one cloud, as it is: those are what tables report on, as the paper
 does. Training gets more of each, changed as `RoomChange` says: turned about the vertical and perhaps mirrored, exposed

@@ -1,4 +1,4 @@
-"""How is a network trained so that a stopped training, taken up again, ends where an undisturbed one does?
+"""The training loop: a stopped training, taken up again, ends where an undisturbed one does.
 
 Nothing random is left to chance or to a state that could be lost: the order of an epoch and what is hidden in it follow
 from the seed and the epoch's number, the learning rate from the step, and the networks draw nothing after they are

@@ -1,4 +1,4 @@
-"""What of a rendered room does training need, and in which split does it belong?
+"""Rooms for training: what of a rendered room does it need, and in which split does it belong?
 
 Reads the rooms that the data set's build leaves (one .npz per room, raw) without knowing Blender. A room belongs to a
 split as a whole, by a hash of its seed: more rooms leave the older ones where they were, and no room is on two sides.

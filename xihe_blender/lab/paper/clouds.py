@@ -1,4 +1,4 @@
-"""What a session's frames show from its places, as the studies take it: one view, or all of a walk."""
+"""Clouds of a session from its places, as the studies take them: of one view, or of all of a walk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is a figure that can be trusted? A number with its unit, its interval, its cases, and what it is held against.
+"""A figure that can be trusted: a number with its unit, its interval, its cases, and what it is held against.
 
 A `Study` is one table or figure of the paper; measuring it yields rows, so that long ones can be stopped between two. A
 `Session` is what studies measure on: a walk through a room as a phone recorded it, and the true light at places there.

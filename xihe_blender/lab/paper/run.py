@@ -1,4 +1,4 @@
-"""How is the evaluation run so that it can be stopped, and no study is measured twice?
+"""The evaluation's run: it can be stopped, and no study is measured twice.
 
 Rooms are recorded first, into `sessions`; then each study writes results/NAME.json, whole, when its last row is
 there. The file says what it was made from: seed, effort, the sessions' scenes, weights of networks and the study's

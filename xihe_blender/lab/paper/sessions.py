@@ -1,4 +1,4 @@
-"""Which walks are the studies measured on? Rooms that are recorded once, as a phone would, and the true light in them.
+"""Sessions of the studies: walks through rooms, recorded once, as a phone would, and the true light in them.
 
 A room is recorded as by `xihe record`; then, if its light stays the same, again from the kept captures with the true
 light at places that the walk shows: its virtual objects first, then above upward surfaces all over the room. A path of

@@ -1,4 +1,4 @@
-"""What stands in a room: tables, chairs, sofas, beds, shelves, plants, curtains, pictures, radiators.
+"""Furniture of a room: tables, chairs, sofas, beds, shelves, plants, curtains, pictures, radiators.
 
 Each function puts one piece in its place and takes its materials as arguments, so that a scene chooses its own palette.
 Pieces are a few objects of one material

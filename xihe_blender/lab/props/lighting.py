@@ -1,4 +1,4 @@
-"""Where does the light come from: lamps with shades, the sun, the sky, a panorama.
+"""Lighting of a room: lamps with shades, the sun, the sky, a panorama.
 
 A lampshade glows by its own emission and a round point light inside it lights the room; the shade casts no shadow of
 that light. Letting the bulb shine through translucent cloth would be truer and, at 16 samples, only noise.

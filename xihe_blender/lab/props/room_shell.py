@@ -1,4 +1,4 @@
-"""What is the room itself: floor, ceiling, walls with openings, windows, doors, skirting.
+"""The shell of a room: floor, ceiling, walls with openings, windows, doors, skirting.
 
 Walls have thickness and real openings, so that daylight enters as it does in a house: past a reveal and a frame. They
 are put together from boxes around each opening instead of cut by Boolean modifiers, which are slow and fragile.

@@ -1,4 +1,4 @@
-"""What geometry are the scenes made of?
+"""Shapes: the geometry that scenes are made of.
 
 A few solids as plain vertices and faces, and one function that turns these into a Blender object. Written
 without `bpy.ops`, so that a build depends on nothing but its arguments and the same call gives the same mesh. Rounded

@@ -1,4 +1,4 @@
-"""What are things made of?
+"""Surfaces: the materials that things are made of.
 
 Every material is a Principled shader whose colour and relief come from procedural textures in object space, which
 keeps a scene at some hundred kilobytes where photographs would need megabytes. Mix factors are moderate: at 16 samples

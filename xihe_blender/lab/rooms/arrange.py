@@ -1,4 +1,4 @@
-"""Where does a piece of furniture fit? Placement by trial: draw a place, keep it if nothing stands in the way.
+"""Arrangement of furniture by trial: draw a place, keep it if nothing stands in the way.
 
 What stands in the way: walls, other pieces, the space a door needs, a window behind something tall, a slanted ceiling.
 Chosen over an optimiser, which makes every room tidy in the same way. A piece that finds no place is left out.

@@ -1,4 +1,4 @@
-"""How is a data set of rooms built? A job that shares the missing rooms out to processes and watches their files.
+"""A build of a data set: a job that shares the missing rooms out to processes and watches their files.
 
 Resumable by room: a file that exists is whole and is not made again, and a room is the same whoever makes it. So a
 build may be stopped at any time, and may grow later. Rejected: a pool in this process, since Blender holds one scene.

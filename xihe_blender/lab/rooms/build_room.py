@@ -1,4 +1,4 @@
-"""How does a room as data become a Blender scene? Shell, openings, furniture, lamps, daylight, in an empty file.
+"""A Blender scene of a room that is data: shell, openings, furniture, lamps, daylight, in an empty file.
 
 Every build starts from an empty file, so a room never sees what another left, and nothing piles up over a thousand
 rooms. Portals stand in the windows: without them nearly all samples of the sky end on the outside of a wall.

@@ -1,4 +1,4 @@
-"""What do the rooms look like? One picture of many rooms: a view of each, and the light at one of its positions below.
+"""A contact sheet: many rooms in one picture, a view of each, and the light at one of its positions below.
 
 `python -m xihe_blender.lab.rooms.contact_sheet DIR PICTURE.png` shows the first 24 rooms of a data set: of each the
 view in which most positions are seen, as the phone delivers it, and the panorama at one of them at the same exposure.

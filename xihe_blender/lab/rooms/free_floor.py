@@ -1,4 +1,4 @@
-"""Where can a person with a phone walk in a room? The free floor as cells, and routes over it.
+"""The free floor of a room, where a person with a phone can walk: as cells, and routes over it.
 
 Found on the plan, not with rays: a table on legs leaves its floor open to a ray but not to a person. Chosen: cells of
 10 cm, shortest routes over them, pulled smooth cell by cell; rejected: a navigation mesh, too much for one room.

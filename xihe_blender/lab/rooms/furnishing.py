@@ -1,4 +1,4 @@
-"""What stands in which kind of room? A table of pieces and their chances; a function puts each of them in its place.
+"""Furnishing by kind of room: a table of pieces and their chances; a function puts each of them in its place.
 
 Sizes are full extents in metres, width x depth x height, from what shops sell.
 """

@@ -1,4 +1,4 @@
-"""What lights a room? Daylight behind the windows, a sun, lamps; five regimes from full sun to one lamp at night.
+"""The light of a room: daylight behind the windows, a sun, lamps; five regimes from full sun to one lamp at night.
 
 Levels are in scene units in which a sky of radiance 8 is a bright day and a lamp of 40 W lights a room in the evening;
 only ratios matter, since the phone meters each room. Panoramas are those that Blender ships (CC0); their mean radiance

@@ -1,4 +1,4 @@
-"""How does a finish become a material? One function per kind of finish, over the project's own surfaces."""
+"""Materials of finishes: one function per kind of finish, over the project's own surfaces."""
 
 from __future__ import annotations
 

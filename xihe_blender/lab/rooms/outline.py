@@ -1,4 +1,4 @@
-"""What is the floor plan of a room, and what lies inside it?
+"""The outline of a room: what is its floor plan, and what lies inside it?
 
 A plan is a polygon of axis-aligned walls that turns anticlockwise, so the inside is on the left of every wall: boxes,
 L-shapes and alcoves are all the same thing. Rejected: free angles, which would need mitred walls and turned furniture

@@ -1,4 +1,4 @@
-"""Which colours and materials do rooms have? Sampled finishes, weighted towards what homes and offices look like.
+"""The palette of rooms: finishes, sampled, weighted towards what homes and offices look like.
 
 Colours are linear Rec.709. Walls are mostly light, since most walls are; some have a strong colour, because coloured
 walls are what tints the light. Albedo stays below 0.85.

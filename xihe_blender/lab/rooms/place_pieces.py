@@ -1,4 +1,4 @@
-"""How does a piece become objects? One function per kind, over the project's own furniture.
+"""Pieces as objects: one function per kind, over the project's own furniture.
 
 A lamp's body and light are made with the lamps: its piece only keeps the place.
 """

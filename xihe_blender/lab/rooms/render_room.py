@@ -1,4 +1,4 @@
-"""What does a room give? Views of a phone, free ones or a walk's, and light probes, rendered from one scene.
+"""Renders of a room: views of a phone, free ones or a walk's, and light probes, from one scene.
 
 The phone's exposure is metered on the views themselves, as a capture meters it on its path: no further renders.
 """

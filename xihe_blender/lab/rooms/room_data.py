@@ -1,4 +1,4 @@
-"""What is a room before Blender sees it? A tree of frozen records: numbers and names, nothing else.
+"""A room before Blender sees it: a tree of frozen records, numbers and names, nothing else.
 
 A room as data can be sampled by the hundred thousand, checked without rendering, and compared. Frames: metres, +Z up;
 a piece's front looks towards -Y before its turn.

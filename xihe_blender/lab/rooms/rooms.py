@@ -1,4 +1,4 @@
-"""What rooms are there? `sample_room` draws one from a generator: the same seed gives the same room.
+"""Rooms, drawn by `sample_room` from a generator: the same seed gives the same room.
 
 Chosen: rules for plan, furniture, materials and light that are drawn independently where they can be, because what a
 network lacks is distinct rooms. Rejected: a few hand-made rooms with jitter, which a network learns by heart.

@@ -1,4 +1,4 @@
-"""How does a scene that somebody made become a room of a data set? Its camera path is the walk.
+"""A scene that somebody made, as a room of a data set: its camera path is the walk.
 
 So that a report can say how estimators do in rooms that no rule of ours has drawn. The room is rendered as a capture
 renders it, metered as a capture is; the positions are given objects, or where a previs run would estimate.

@@ -1,4 +1,4 @@
-"""What is asked for when rooms are built."""
+"""Settings of a build of rooms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does the light of these rooms look like the light of real ones? Its statistics beside those of the published data.
+"""Statistics of the light of these rooms, beside those of real ones that are published.
 
 `python -m xihe_blender.lab.rooms.statistics DIR` prints them as a table. The real data are the ground truths that the
 authors of the paper published with their artefact: order-2 coefficients of LDR environment maps from scans of homes, +Y

@@ -1,4 +1,4 @@
-"""How is a room kept? One compressed .npz per room, whole or absent, raw: whatever is sampled from it is derived later.
+"""The store of rooms: one compressed .npz each, whole or absent, raw: whatever is sampled from it is derived later.
 
 The same room gives the same bytes: nothing stored tells the time or the machine. float16 where it is harmless: plane
 depth (a step of 4 mm at 5 m, less than a sensor's noise) and radiance (11 bits; brighter than 65504 is cut there).

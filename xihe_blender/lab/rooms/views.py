@@ -1,4 +1,4 @@
-"""Where does the phone stand, and where are virtual objects placed? Both by trial, judged by rays cast in the room.
+"""Views of the phone and places of virtual objects: both by trial, judged by rays cast in the room.
 
 A phone is held 1.0 to 1.8 m high, yaw free, pitch and roll like a hand's, most often pointed at a place where an object
 stands. A placement position floats 5 to 10 cm above a surface that faces up. Neither may be inside a thing: no ray from

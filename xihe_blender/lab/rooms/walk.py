@@ -1,4 +1,4 @@
-"""How does someone with a phone walk through a room? Frames of a path, about one a second.
+"""A person's walk through a room, with a phone: frames of a path, about one a second.
 
 They go from one place at which an object will stand to the next, look at each, and turn around now and then to take in
 the room: looks and turns follow each other, the phone turns no faster than a hand does, and who turns around stands.

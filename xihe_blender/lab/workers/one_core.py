@@ -1,4 +1,4 @@
-"""How is a process that renders started, so that it gets one core and no more, and the packages that this one has?
+"""One core for a process that renders, and no more, with the packages that this process has.
 
 Two processes with one thread each beat one with two. But Blender starts threads beside Cycles' one that spin for work:
 0.7 s of a second core for each second of rendering. So each process is kept on a core of its own, where the system can:

@@ -1,4 +1,4 @@
-"""How is another process started that has Blender and this project at hand?
+"""Processes beside this one that have Blender and this project at hand.
 
 With the bpy wheel, as `python -m module`. A whole Blender's Python has no bpy of its own: there it is another Blender
 in background, which runs this file, with the paths of this one. Its own way out is not taken: Blender 4.3 was seen to

@@ -1,4 +1,4 @@
-"""How does what a phone stores of one moment become an `RgbdFrame`: colour, depth from its sensor, and its confidence?
+"""A moment that a phone stored, as an `RgbdFrame`: colour, depth from its sensor, and its confidence.
 
 A depth sensor says itself which of its pixels it doubts. Those of low confidence lose their depth and are counted, so
 that edges and glass put no point where there is none; the others keep theirs, and all levels stay in the frame. A frame

@@ -1,4 +1,4 @@
-"""What all layouts share: colour as an image, plane depth in 16 bits, and what became of both."""
+"""Pictures, as all layouts write them: colour as an image, plane depth in 16 bits, and what became of both."""
 
 from __future__ import annotations
 

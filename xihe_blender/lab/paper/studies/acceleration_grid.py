@@ -1,4 +1,4 @@
-"""How many points does a table over angles send to another anchor than the nearest, and does the light suffer?"""
+"""A table over angles: how many points go to another anchor than the nearest, and does the light suffer?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many anchors are enough?"""
+"""The anchor count: how many anchors are enough?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why spread anchors evenly? The same number on a grid of latitude and longitude, side by side."""
+"""Evenly spread anchors beside the same number on a grid of latitude and longitude."""
 
 from __future__ import annotations
 

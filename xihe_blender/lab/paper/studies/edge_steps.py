@@ -1,4 +1,4 @@
-"""What does the server take, by number of anchors?"""
+"""Steps of the server: how long do they take, by number of anchors?"""
 
 from __future__ import annotations
 

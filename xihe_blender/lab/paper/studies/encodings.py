@@ -1,4 +1,4 @@
-"""How many bytes is a cloud, and how long does it take to write them?"""
+"""Encodings: how many bytes is a cloud, and how long does it take to write them?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a frame to its light: how long?"""
+"""The time from a frame to its light."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which estimator is closest, and how many estimates a second does it make?"""
+"""Estimators: which of them is closest, and how many estimates a second does it make?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does sampling on the unit sphere keep more of what was seen? That depends on what a pixel without depth becomes.
+"""Joint entropy: does sampling on the unit sphere keep more of what was seen? Pixels without depth decide that.
 
 The measure is the paper's equation 1, one distribution per number of anchors, over 2 to 2048 of them as in its
 published figures. There a position lies 0.1 m above a surface in view, and a pixel without depth stays in the cloud, as

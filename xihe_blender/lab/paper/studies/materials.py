@@ -1,4 +1,4 @@
-"""Which materials look right under nine coefficients? A sphere of each, in the room and under the estimate."""
+"""Materials: which look right under nine coefficients? A sphere of each, in the room and under the estimate."""
 
 from __future__ import annotations
 

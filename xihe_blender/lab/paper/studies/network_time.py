@@ -1,4 +1,4 @@
-"""How long are bytes under way, and what do further positions cost?"""
+"""Network time: how long are bytes under way, and what do further positions cost?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What does each step on the phone take?"""
+"""Steps of the phone: how long does each take?"""
 
 from __future__ import annotations
 

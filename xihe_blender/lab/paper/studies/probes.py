@@ -1,4 +1,4 @@
-"""What does ambient light, or a mirror sphere in the room, know that our estimate does not, and the reverse?"""
+"""Ambient light and a mirror sphere in the room: what do they know that our estimate does not, and the reverse?"""
 
 from __future__ import annotations
 

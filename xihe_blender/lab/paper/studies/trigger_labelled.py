@@ -1,4 +1,4 @@
-"""Does the trigger tell two lights apart? Pairs of frames, labelled by how alike a lit object looks under both."""
+"""Labelled pairs of frames, by how alike a lit object looks under both: does the trigger tell two lights apart?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many estimates does a trigger ask for, and what does it cost to ask for fewer? Whole sessions, frame by frame."""
+"""Triggers over whole sessions: how many estimates do they ask for, and what does it cost to ask for fewer?"""
 
 from __future__ import annotations
 
