@@ -481,7 +481,7 @@ class StepReport:
     # Milliseconds per stage: unproject, sample, merge, trigger, encode, estimate; only stages that ran.
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     payload_bytes: int = 0  # of the encoded cloud, 0 if none was encoded
-    coverage: float = 0.0  # share of the anchors set in the temporary buffer
+    coverage: float = 0.0  # share of the anchors that are known, this frame's among them
     # Points of this frame that were left out and distances that were clamped, by reason.
     invalid: Counts = field(default_factory=dict)
     # Reason of `xihenet.invalid.UNKNOWN` why this frame could not tell the light, so that the last one stays; empty

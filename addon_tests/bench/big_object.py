@@ -26,7 +26,7 @@ from xihe_blender.lab.props.surfaces import plain
 from xihe_blender.previs.compare_path import surfaces_known
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
-from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.run_chain import run_chain
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene import estimation_positions
 from xihe_blender.scene.blend_file import open_blend
@@ -73,16 +73,16 @@ def main() -> None:
     outputs, plan = RunOutputs(options.out, options.scene.stem), plan_previs(scene, settings)
     survey = run_blocking(survey_run(scene, plan, outputs))
     run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
-    walked = run_blocking(walk_path(run))
+    chain = run_blocking(run_chain(run))
     print(f"{len(plan.probes)} positions")
     found = defaultdict(list)
     methods = {f"{who} {way}": (who, way) for who in (settings.estimator, "truth") for way in WAYS}
     sofa_from_world = np.linalg.inv(np.array(sofa.matrix_world))
     with open_comparer(run.scene, plan.objects, list(methods), run.comparison, has_key_light=True) as comparer:
-        for entry in (entry for entry in walked.frames if entry.active):
+        for entry in (entry for entry in chain.frames if entry.active):
             captured = load_frame(outputs.capture(entry.frame))
             lights = {
-                method: {"Sofa": in_the_way(walked.lights[entry.frame][who]["Sofa"], way)}
+                method: {"Sofa": in_the_way(chain.lights[entry.frame][who]["Sofa"], way)}
                 for method, (who, way) in methods.items()
             }
             truth, surfaces = comparer.render_ground_truth(entry.frame), surfaces_known(run, entry.frame, comparer)

@@ -24,13 +24,13 @@ from collections.abc import Iterator
 
 import numpy as np
 from given import given
-from light_parts import walked_scene
+from light_parts import scene_of_chain
 
 from xihe_blender.cli.arguments import picture_size
 from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.run_chain import WalkedPath
+from xihe_blender.previs.run_chain import ChainResult
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.true_light import true_reflections
 from xihenet.buffers import merge_in_sight
@@ -85,10 +85,10 @@ def degrees(one: ArrayF64, other: ArrayF64) -> float:
     return float(np.degrees(np.arccos(np.clip(one @ other, -1, 1))))
 
 
-def estimates(run: PreparedRun, walked: WalkedPath, probe: Probe) -> Iterator[tuple[int, int, UnitSphereCloud]]:
+def estimates(run: PreparedRun, chain: ChainResult, probe: Probe) -> Iterator[tuple[int, int, UnitSphereCloud]]:
     """Of each estimate for the probe: its frame, the first at which it is in use, and all that was seen up to it."""
     known, clouds, last = UnitSphereCloud.empty(len(LATTICE)), {}, None
-    for entry in walked.frames:
+    for entry in chain.frames:
         told = next((one for one in entry.probes if one.name == probe.name), None)
         if told is None:
             continue
@@ -101,17 +101,17 @@ def estimates(run: PreparedRun, walked: WalkedPath, probe: Probe) -> Iterator[tu
             yield last, entry.frame, clouds[last]
 
 
-def angles(run: PreparedRun, walked: WalkedPath, estimator: str) -> dict[str, list[float]]:
+def angles(run: PreparedRun, chain: ChainResult, estimator: str) -> dict[str, list[float]]:
     """Degrees between the lamp and the key light, by what the bench asks."""
     found: dict[str, list[float]] = defaultdict(list)
     for probe in run.plan.probes:
         before = None
-        for estimated, frame, cloud in estimates(run, walked, probe):
+        for estimated, frame, cloud in estimates(run, chain, probe):
             radiance = true_reflections(run, probe, estimated, LATTICE).radiance.astype(np.float64)
             luminance = radiance @ LUMINANCE
             patch = patch_of_most_light(luminance)
-            lamp, light = middle_of(patch, luminance), walked.lights[frame][estimator][probe.object_name]
-            true = walked.lights[estimated]["truth"][probe.object_name].key
+            lamp, light = middle_of(patch, luminance), chain.lights[frame][estimator][probe.object_name]
+            true = chain.lights[estimated]["truth"][probe.object_name].key
             key = light.key
             angle = np.nan if key is None else degrees(key.direction, lamp)
             has_jumped = key is not None and before is not None and key.direction @ before < JUMP
@@ -149,7 +149,7 @@ def main() -> None:
     settings = PrevisSettings(preset=options.preset, size=options.size, light="sh+key+reflections")
     of_all: dict[str, list[float]] = defaultdict(list)
     for file in options.scenes:
-        found = angles(*walked_scene(file, options.out / file.stem, settings), settings.estimator)
+        found = angles(*scene_of_chain(file, options.out / file.stem, settings), settings.estimator)
         for name, values in found.items():
             of_all[name] += values
         print(told(file.stem, found), flush=True)

@@ -25,7 +25,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.path_renders import kept_renders
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
-from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.run_chain import run_chain
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
@@ -53,7 +53,7 @@ def session(file: Path, phone: str, folder: Path) -> tuple[PreparedRun, list[Rgb
     with scene_kept():
         survey = run_blocking(survey_run(scene, plan, outputs))
         run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
-        phone_in_use = run_blocking(walk_path(run)).phone
+        phone_in_use = run_blocking(run_chain(run)).phone
         renders = [kept_renders(run, frame) for frame in frames]
         return run, [phone_in_use.see(one.captured, outputs)[0] for one in renders if one is not None]
 

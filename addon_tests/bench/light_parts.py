@@ -39,7 +39,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.compare_path import surfaces_known
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
-from xihe_blender.previs.run_chain import WalkedPath, walk_path
+from xihe_blender.previs.run_chain import ChainResult, run_chain
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.estimation_positions import box_corners_m
@@ -55,7 +55,7 @@ PLACE = "placement_0"
 PARTS = ("sh", "sh+key", "sh+key+reflections")
 
 
-def walked_scene(file: Path, out: Path, settings: PrevisSettings) -> tuple[PreparedRun, WalkedPath]:
+def scene_of_chain(file: Path, out: Path, settings: PrevisSettings) -> tuple[PreparedRun, ChainResult]:
     scene = open_blend(file)
     objects = virtual_objects(scene)
     place = under(objects[0]) if objects else below(scene, scene.objects[PLACE].matrix_world.translation)
@@ -67,7 +67,7 @@ def walked_scene(file: Path, out: Path, settings: PrevisSettings) -> tuple[Prepa
     outputs = RunOutputs(out, file.stem)
     survey = run_blocking(survey_run(scene, plan, outputs))
     run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
-    return run, run_blocking(walk_path(run))
+    return run, run_blocking(run_chain(run))
 
 
 def under(item: bpy.types.Object) -> tuple[float, float, float]:
@@ -93,10 +93,10 @@ def measured(
     file: Path, out: Path, settings: PrevisSettings, every: int, samples: int
 ) -> dict[tuple[str, str], list[list[float]]]:
     """RMSE, si-RMSE and shown RMSE at each compared frame, by object and method."""
-    run, walked = walked_scene(file, out, settings)
+    run, chain = scene_of_chain(file, out, settings)
     methods = {f"{who} {parts}": (who, parts) for who in (settings.estimator, "truth") for parts in PARTS}
     found = defaultdict(list)
-    frames = [entry.frame for entry in walked.frames if entry.active][::every]
+    frames = [entry.frame for entry in chain.frames if entry.active][::every]
     with open_comparer(run.scene, run.plan.objects, list(methods), run.comparison, has_key_light=True) as comparer:
         comparer.ground_truth.cycles.samples = samples
         for frame in frames:
@@ -105,7 +105,7 @@ def measured(
             if truth is None:
                 truth = comparer.render_ground_truth(frame)
                 save_ground_truth(kept, truth)
-            captured, of_all = load_frame(run.outputs.capture(frame)), walked.lights[frame]
+            captured, of_all = load_frame(run.outputs.capture(frame)), chain.lights[frame]
             lights = {
                 method: {name: part_of(light, parts) for name, light in of_all[who].items()}
                 for method, (who, parts) in methods.items()

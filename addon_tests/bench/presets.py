@@ -33,11 +33,11 @@ HEAD = """\
 | --- | --- | --- | --- | --- | --- |"""
 
 
-def measured(file, folder, effort, seed):
+def measured(file, folder, study_size, seed):
     """What `measure_rendering` gives for the presets on one scene, and how many errors belong to one view."""
     scene = open_blend(file)
     plan, survey = survey_scene(scene)
-    settings = FrontierSettings(seed=seed, study_size=effort)
+    settings = FrontierSettings(seed=seed, study_size=study_size)
     study = SceneStudy(scene, plan, survey, folder / file.stem, settings)
     with scene_kept():
         prepared = run_blocking(prepare(study))
@@ -47,16 +47,16 @@ def measured(file, folder, effort, seed):
             positions_m = {probe.name: probe.position_m for probe in plan.probes}
             views = {
                 frame: [positions_m[name] for name in names]
-                for frame, names in evenly_chosen(list(survey.in_view.items()), effort.n_views)
+                for frame, names in evenly_chosen(list(survey.in_view.items()), study_size.n_views)
             }
             choices = [RenderCandidate(choice, name) for name, choice in prepared.presets.items()]
-            exhaustive = RenderChoice(plan.size, effort.reference_samples)
+            exhaustive = RenderChoice(plan.size, study_size.reference_samples)
             renders = RenderStudy(
                 **vars(study), scanner=scanner, capture=capture, views=views, choices=choices, exhaustive=exhaustive
             )
             nothing = dict.fromkeys(COMPUTED_BY, 0.0)
             alone, _ = run_blocking(measure_rendering(renders, nothing))
-    return alone, [len(positions_m) * effort.n_seeds for positions_m in views.values()]
+    return alone, [len(positions_m) * study_size.n_seeds for positions_m in views.values()]
 
 
 def by_view(one, kind, sizes):
@@ -81,11 +81,11 @@ def row(file, alone, sizes):
 
 def main():
     options = given(__doc__, "scenes+", out=Path, reference=FULL.reference_samples, views=FULL.n_views, seeds=2, seed=0)
-    effort = replace(FULL, reference_samples=options.reference, n_views=options.views, n_seeds=options.seeds)
+    study_size = replace(FULL, reference_samples=options.reference, n_views=options.views, n_seeds=options.seeds)
     with blender_output_aside() as (stdout, _):
         print(HEAD, file=stdout, flush=True)
         for file in options.scenes:
-            print(row(file, *measured(file, options.out, effort, options.seed)), file=stdout, flush=True)
+            print(row(file, *measured(file, options.out, study_size, options.seed)), file=stdout, flush=True)
 
 
 if __name__ == "__main__":

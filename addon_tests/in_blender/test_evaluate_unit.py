@@ -137,8 +137,8 @@ def test_renders_that_a_stopped_unit_made_from_other_files_go(tmp_path, file, re
 @pytest.mark.slow
 def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(whole):
     truth, estimated = (trial_of(whole[0], "perfect", estimator) for estimator in ("truth", "projection"))
-    assert truth.thetas == () and truth.frames[0].shc_rmse == 0
-    rates = [one.per_minute for one in estimated.thetas]
+    assert truth.trigger_sweep == () and truth.frames[0].shc_rmse == 0
+    rates = [one.per_minute for one in estimated.trigger_sweep]
     assert rates == sorted(rates, reverse=True) and rates[0] > rates[-1]
 
 
@@ -150,7 +150,7 @@ def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(whole):
 def test_trials_have_the_trigger_that_was_asked_for(tmp_path, file, rule, n_thetas, theta, fires):
     settings = replace(SMALL, trigger=rule, estimators=("projection",), phones=("perfect",), light="sh")
     (trial,) = run_blocking(evaluate_unit(file, tmp_path, settings, SEED)).trials
-    (own,) = (one for one in trial.thetas if one.factor == 1)
-    assert (len(trial.thetas), own.theta) == (n_thetas, theta)
+    (own,) = (one for one in trial.trigger_sweep if one.factor == 1)
+    assert (len(trial.trigger_sweep), own.theta) == (n_thetas, theta)
     assert all(frame.n_fired for frame in trial.frames) == fires
     assert own.per_minute == trial.estimates_per_minute

@@ -24,7 +24,7 @@ from xihe_blender.apply.key_suns import (
 )
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_timeline import key_object_light
-from xihe_blender.apply.reflection_pictures import PICTURE, is_shiny, light_called_for
+from xihe_blender.apply.reflection_pictures import PICTURE, is_shiny, required_light
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world
 from xihe_blender.apply.shadow_catchers import catcher_name, shadow_catchers
 from xihe_blender.capture.render import RenderSettings, render_passes
@@ -38,7 +38,7 @@ from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run, survey_run
 from xihe_blender.previs.results_notes import light_notes
-from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.run_chain import run_chain
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -194,7 +194,7 @@ def test_key_light_of_truth_points_at_the_lamp_that_nobody_looked_at(tmp_path, l
     outputs, plan = RunOutputs(tmp_path, "room"), plan_previs(scene, settings)
     survey = run_blocking(survey_run(scene, plan, outputs))
     run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
-    key = run_blocking(walk_path(run)).lights[1]["truth"]["Ball"].key
+    key = run_blocking(run_chain(run)).lights[1]["truth"]["Ball"].key
     towards = (at - np.array(ball.location)) / np.linalg.norm(at - np.array(ball.location))
     assert key.is_seen and key.direction @ towards > np.cos(np.radians(4))
 
@@ -224,7 +224,7 @@ def test_a_run_says_what_its_objects_call_for(ran):
     assert "Glossy parts reflect" in said and "No virtual object is shiny" in said
     rig = add_three_sphere_rig(empty_scene(), (0, 0, 0))
     assert [is_shiny(item) for item in rig] == [True, True, False]
-    assert (light_called_for(rig), light_called_for(rig[2:])) == ("sh+key+reflections", "sh+key")
+    assert (required_light(rig), required_light(rig[2:])) == ("sh+key+reflections", "sh+key")
     said = " ".join(light_notes(PrevisSettings(light="sh"), rig))
     assert "Mirror Sphere, Xihe Matte Silver Sphere. With reflections (--light sh+key+reflections, or " in said
     assert "In a ground truth of 32 samples, lamps that shiny objects mirror are noise" in said

@@ -32,7 +32,7 @@ from xihe_blender.light_transport import remember_overrides
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import prepare_run
 from xihe_blender.previs.required_effects import effects_of_run, plan_phone_effects, positions_in
-from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.run_chain import run_chain
 from xihe_blender.previs.settings import load_estimators
 from xihe_blender.previs.simulated_phone import SURFACE_EFFECTS, choose_phone, simulate_phone
 from xihe_blender.previs.survey import survey_path
@@ -45,7 +45,7 @@ SESSION = replace(SMALL, phone="ipad_pro_lidar", network="lte")
 
 
 def planned(scene, out, settings):
-    """The phone of a small run of few samples whose path has been walked, the capture of its first frame, its files.
+    """The phone of a small run of few samples after the chain has run, the capture of its first frame, its files.
 
     What an earlier run has left in `out` goes.
     """
@@ -55,7 +55,7 @@ def planned(scene, out, settings):
     plan = plan_previs(scene, settings)
     survey, estimator = run_blocking(survey_path(scene, plan)), load_estimators(settings)
     run = run_blocking(prepare_run(scene, plan, survey, files, settings, estimator))
-    return run_blocking(walk_path(run)).phone, load_frame(files.capture(plan.frames[0])), files
+    return run_blocking(run_chain(run)).phone, load_frame(files.capture(plan.frames[0])), files
 
 
 def before_captures(scene, settings):

@@ -36,7 +36,7 @@ def trial(scene="room", seed=0, phone="perfect", estimator="lattice", error=0.1,
     ]
     counts = dict.fromkeys(("n_frames", "n_active_frames", "n_compared_frames", "n_estimates"), 3)
     means = {"shc_rmse": error, "coverage": 0.5, **HALF, "psnr": psnr, "estimates_per_minute": 30.0}
-    given = {"frames": tuple(frames), "thetas": tuple(thetas), **counts, **means, **more}
+    given = {"frames": tuple(frames), "trigger_sweep": tuple(thetas), **counts, **means, **more}
     return Trial(
         unit=f"{scene}_{seed}", scene=scene, seed=seed, number=0, phone=phone, estimator=estimator,
         payload_bytes=1000, **given,

@@ -76,13 +76,13 @@ def test_the_trigger_that_is_as_good_asks_least():
     assert laziest_as_good(points).per_minute == 12.0
     worse = [*points[:-1], replace(points[-1], error=1.06 * points[0].error)]
     assert laziest_as_good(worse).per_minute == 30.0
-    assert trigger_points([trial(thetas=())], "lattice") == []
+    assert trigger_points([trial(trigger_sweep=())], "lattice") == []
     equal = [points[0], *(replace(point, per_minute=30.0) for point in points[1:])]
     assert laziest_as_good(equal).factor == 1
 
 
 def test_how_often_is_answered_where_the_ambient_light_is_best():
-    best = trial(estimator="ambient", error=0.05, thetas=())
+    best = trial(estimator="ambient", error=0.05, trigger_sweep=())
     assert answers.how_often([best, trial(error=0.1)]).startswith(
         "With <code>lattice</code>, the trigger as it is asks"
     )
@@ -90,8 +90,8 @@ def test_how_often_is_answered_where_the_ambient_light_is_best():
 
 
 def test_a_rule_without_thresholds_says_what_every_frame_gives_and_how_to_hear_of_others():
-    (own,) = (one for one in trial().thetas if one.factor == 1)
-    words = answers.how_often([trial(thetas=(own,))])
+    (own,) = (one for one in trial().trigger_sweep if one.factor == 1)
+    words = answers.how_often([trial(trigger_sweep=(own,))])
     assert "an estimate in every frame is 30 times a minute" in words and "Leave out --trigger" in words
 
 
@@ -104,7 +104,10 @@ def test_the_page_says_how_it_was_made(tmp_path):
 def test_thetas_that_differ_from_scene_to_scene_are_told_from_least_to_greatest():
     quiet = trial("room", estimator="lattice")
     noisy = replace(
-        quiet, unit="dim_0", scene="dim", thetas=tuple(replace(t, theta=1.35 * t.theta) for t in quiet.thetas)
+        quiet,
+        unit="dim_0",
+        scene="dim",
+        trigger_sweep=tuple(replace(t, theta=1.35 * t.theta) for t in quiet.trigger_sweep),
     )
     assert [point.theta for point in trigger_points([quiet, noisy], "lattice")][2:] == [
         "0.0200 to 0.0270",
@@ -172,7 +175,7 @@ def test_names_of_scenes_cannot_break_the_page(tmp_path):
 
 
 def test_trials_without_any_value_make_a_page_too(tmp_path):
-    empty = trial(psnr=None, shc_rmse=None, frames=(), thetas=(), estimates_per_minute=None)
+    empty = trial(psnr=None, shc_rmse=None, frames=(), trigger_sweep=(), estimates_per_minute=None)
     assert "No picture was compared" in plain(report_page(BatchFolder(tmp_path), results([empty]), None))
     assert "No trial could be done" in report_page(BatchFolder(tmp_path), results([], [("x.blend", "gone")]), None)
 

@@ -122,9 +122,9 @@ def test_every_reading_is_held_against_a_formula():
 def test_axes_keep_lengths_and_what_is_up(reading):
     convention = convention_of(*reading)
     np.testing.assert_allclose(convention.axes @ convention.axes.T, np.eye(3), atol=1e-12)
-    is_z_up = "Z up" in convention.axes_in_words
+    is_z_up = "Z up" in convention.axes_text
     assert (convention.axes @ [0, 0, 1]).tolist() == ([0, 0, 1] if is_z_up else [0, 1, 0])
-    assert (np.linalg.det(convention.axes) < 0) == ("left-handed" in convention.axes_in_words)
+    assert (np.linalg.det(convention.axes) < 0) == ("left-handed" in convention.axes_text)
 
 
 KEY = KeyLight(np.array([0.0, -0.6, 0.8]), np.array([2.0, 1.0, 0.5]), 0.1, True)

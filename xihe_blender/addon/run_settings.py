@@ -17,7 +17,7 @@ from xihe_blender.addon.background_run import COMMAND
 from xihe_blender.addon.choices import FROM_FILE, NO_NETWORK, PHONES_METERING, USUAL_TRIGGER, other_estimator_items
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.addon.results_in_blender import show_results
-from xihe_blender.apply.reflection_pictures import light_called_for
+from xihe_blender.apply.reflection_pictures import required_light
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults
@@ -93,7 +93,7 @@ def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
         "others": set(made.others) & {item[0] for item in other_estimator_items(None, None)},
         "preset": made.preset,
         "target": made.target,
-        "light": "auto" if made.light == light_called_for(virtual_objects(scene)) else made.light,
+        "light": "auto" if made.light == required_light(virtual_objects(scene)) else made.light,
         "uses_edge_server": made.backend is not None,
         "edge_server": made.backend or scene.xihe.edge_server,
         "captures_path": made.captured == "path",

@@ -43,7 +43,7 @@ SHINY_BELOW = 0.4
 """Roughness of a surface that shows more of its surroundings than nine coefficients hold: matte silver has 0.3."""
 
 
-def light_called_for(objects: Sequence[bpy.types.Object]) -> LightParts:
+def required_light(objects: Sequence[bpy.types.Object]) -> LightParts:
     """What objects need, and no more: a key light for the shadow of each, and reflections where one is shiny."""
     return "sh+key+reflections" if any(map(is_shiny, objects)) else "sh+key"
 

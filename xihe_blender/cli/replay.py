@@ -159,7 +159,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     for path in _write(options, capture, places, steps, score, drift):
         print(path, file=stdout)
     for place in places:
-        print(_told(place, len(steps)), file=stdout)
+        print(_format_lights(place, len(steps)), file=stdout)
     if isinstance(estimator, EdgeBackend):
         print(f"xihe: note: {estimator.state()}", file=stderr)
         estimator.close()
@@ -387,7 +387,7 @@ def _shown_frames(capture: Capture, places: Sequence[Place]) -> list[tuple[int, 
     return [(wanted[k].number, encode_png(wanted[k].read().srgb_u8)) for k in some]
 
 
-def _told(place: Place, n_frames: int) -> str:
+def _format_lights(place: Place, n_frames: int) -> str:
     if not place.lights:
         return f"{place.where}: no light could be known in {format_count(n_frames, 'frame')}{_why_unknown(place)}"
     last = place.lights[-1]

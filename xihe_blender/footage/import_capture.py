@@ -63,7 +63,7 @@ class ImportedCapture:
 
 
 @contextlib.contextmanager
-def said_in_one_line(of: str = "") -> Iterator[None]:
+def as_user_error(of: str = "") -> Iterator[None]:
     """UserError, which begins with `of`, for a recording that is broken, or that this Python cannot read."""
     try:
         yield
@@ -75,7 +75,7 @@ def said_in_one_line(of: str = "") -> Iterator[None]:
 
 def opened_capture(chosen: ChosenCapture) -> Capture:
     """The recording that was chosen; UserError for none and for a broken one, as of `open_capture`."""
-    with said_in_one_line(f"{chosen.path}: "):
+    with as_user_error(f"{chosen.path}: "):
         return open_capture(chosen.path, chosen.up, scale=chosen.scale, floor_m=chosen.floor_m)
 
 
@@ -107,7 +107,7 @@ def captured_frames(capture: Capture) -> dict[int, CapturedFrame]:
 
 def read_captured(captured: CapturedFrame) -> RgbdFrame:
     """Its pixels; UserError where they cannot be read."""
-    with said_in_one_line():
+    with as_user_error():
         return captured.read()
 
 
@@ -118,7 +118,7 @@ def steadied_frames(capture: Capture) -> dict[int, CapturedFrame]:
     """
     if capture.is_exposure_known:
         return captured_frames(capture)
-    with said_in_one_line():
+    with as_user_error():
         return captured_frames(steadied(capture)[0])
 
 
@@ -148,7 +148,7 @@ def import_capture(
         footage = Footage(pictures, numbered)
         scan, first = yield from part_of(1, 0, 0.99 * reading, _read(capture, numbered, footage))
         yield Progress(0.99 * reading, 1, "making the mesh")
-        with said_in_one_line():
+        with as_user_error():
             doubt = suspicion(capture)
         notes = capture.notes if doubt is None else (*capture.notes, doubt)
         if is_kept:
@@ -158,7 +158,7 @@ def import_capture(
         shutil.rmtree(pictures, ignore_errors=True)
         raise
     remember_capture(scene, remembered, blend_folder)
-    kept = () if remembered is chosen else (_said_of_frames(remembered.path),)
+    kept = () if remembered is chosen else (_format_frames(remembered.path),)
     return replace(imported, said=(*imported.said, *kept, *notes))
 
 
@@ -188,7 +188,7 @@ def _keep_frames(capture: Capture, folder: Path) -> Job[ChosenCapture]:
     n, n_before, frames = len(capture.frames), 0, capture.frames
     if not capture.is_exposure_known:
         yield Progress(0, 2 * n, "following the exposure")
-        with said_in_one_line():
+        with as_user_error():
             n_before, frames = n, steadied(capture)[0].frames
     source = f"a recording of the kind {capture.format_name}"
     recorder = SessionRecorder(folder, SessionFacts(source, capture.notes, capture.reference_exposure, capture.trigger))
@@ -198,7 +198,7 @@ def _keep_frames(capture: Capture, folder: Path) -> Job[ChosenCapture]:
     return ChosenCapture(folder)
 
 
-def _said_of_frames(folder: Path) -> str:
+def _format_frames(folder: Path) -> str:
     n_bytes = sum(path.stat().st_size for path in folder.iterdir())
     return f"Run reads its own copy of the frames in {folder}, {format_bytes(n_bytes)}: keep it."
 

@@ -170,7 +170,7 @@ class TransportSurveyor:
             for material in _used_materials(item):
                 emits |= self._surface(item, material, is_seen)
                 if not all(_is_visible(instance, (ray,)) for ray in RAYS):
-                    self.leaky.add(_in_words(item, material))
+                    self.leaky.add(_format_surface(item, material))
         if instance.show_particles and is_seen:
             for settings in (system.settings for system in item.particle_systems):
                 if settings.type == "HAIR" and settings.render_type == "PATH":
@@ -182,7 +182,7 @@ class TransportSurveyor:
         look = self._look(material, material_shading)
         if material is None and item.type == "VOLUME":
             look = Shading(Interaction.VOLUME)
-        words = _in_words(item, material)
+        words = _format_surface(item, material)
         if look.interactions & LEAKY or (material is not None and material.original not in self.still):
             self.leaky.add(words)
         for interaction in look.interactions if is_seen else look.interactions & Interaction.TRANSPARENT:
@@ -201,7 +201,7 @@ class TransportSurveyor:
         def look(item: bpy.types.Object, slot: int) -> Look:
             material = _slot_material(item, slot)
             shading = self._look(material, material_shading)
-            return _in_words(item, material), None if shading.interactions & PASSED else shading.albedo
+            return _format_surface(item, material), None if shading.interactions & PASSED else shading.albedo
 
         key, _ = placement(depsgraph.object_instances)
         if key not in self.solids:
@@ -218,7 +218,7 @@ def _is_visible(instance: Any, rays: Sequence[str]) -> bool:
     return any(all(getattr(item, f"visible_{ray}") for item in items) for ray in rays)
 
 
-def _in_words(item: bpy.types.Object, material: bpy.types.Material | None) -> str:
+def _format_surface(item: bpy.types.Object, material: bpy.types.Material | None) -> str:
     return f"material {material.name!r} on {item.name!r}" if material is not None else f"{item.name!r}"
 
 

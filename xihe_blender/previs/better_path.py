@@ -25,7 +25,7 @@ from xihe_blender.io.look_results import LookAway, LookResults, ObjectAdvice, Tr
 from xihe_blender.io.outputs import write_json
 from xihe_blender.io.run_lights import as_rgb
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.captured_path import CapturedPath, capture_path, measured_lights, said_of_path
+from xihe_blender.previs.captured_path import CapturedPath, capture_path, measured_lights, path_facts
 from xihe_blender.previs.kept_session import KeptSession, open_kept_session
 from xihe_blender.previs.look_pictures import write_above
 from xihe_blender.previs.placement import PlacementSettings, find_places
@@ -104,7 +104,7 @@ def better_path(
         if wishes.is_verified:
             found = yield from verify_looks(captured, found, wishes)
         results = LookResults(
-            **said_of_path(captured.run, blend_file, command, asdict(wishes.looks)),
+            **path_facts(captured.run, blend_file, command, asdict(wishes.looks)),
             objects=tuple(one.advice for one in found),
         )
         yield Progress(1, 1, "writing the report")

@@ -33,7 +33,7 @@ from xihe_blender.previs.plan import (
     planned_frames,
 )
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
-from xihe_blender.previs.run_chain import walk_path
+from xihe_blender.previs.run_chain import run_chain
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.records import ArrayF64
 
@@ -53,7 +53,7 @@ class CapturedPath:
         return tuple(one.seen.frame for one in self.session.frames)
 
 
-def said_of_path(run: PreparedRun, blend_file: Path, command: str, asked: Parameters) -> dict[str, Any]:
+def path_facts(run: PreparedRun, blend_file: Path, command: str, asked: Parameters) -> dict[str, Any]:
     """The fields of `PathResults`, with what was `asked` among the settings."""
     names = ("estimator", "target", "preset", "samples", "seed", "phone", "network", "n_anchors")
     chosen = {name: getattr(run.settings, name) for name in names}
@@ -95,7 +95,7 @@ def capture_path(
     survey = yield from survey_run(scene, plan, outputs)
     held.enter_context(manifest.held())
     run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
-    yield from walk_path(run, keeps_session=True)
+    yield from run_chain(run, keeps_session=True)
     session = yield from kept_session(outputs, run.settings, run.exposure, sorted(run.needs.captured))
     return CapturedPath(run, session)
 

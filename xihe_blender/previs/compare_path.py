@@ -25,7 +25,7 @@ from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.run_chain import Lights, WalkedPath
+from xihe_blender.previs.run_chain import ChainResult, Lights
 from xihenet.io.recording import load_frame
 from xihenet.walk.placement import evenly_chosen
 from xihenet.walk.surfaces import Surface
@@ -37,14 +37,14 @@ MOST_SEEN = 12
 """Captures in which surfaces are looked for, evenly spread: more show no more of a table."""
 
 
-def compare_path(run: PreparedRun, walked: WalkedPath) -> Job[dict[int, ComparedFrame]]:
+def compare_path(run: PreparedRun, chain: ChainResult) -> Job[dict[int, ComparedFrame]]:
     """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
-    outputs, active = run.outputs, [frame.frame for frame in walked.frames if frame.active]
+    outputs, active = run.outputs, [frame.frame for frame in chain.frames if frame.active]
     frames = compared_frames(active, run.settings.preset_values.comparison_step)
-    sources = comparison_sources(run, {frame: walked.lights[frame] for frame in frames})
+    sources = comparison_sources(run, {frame: chain.lights[frame] for frame in frames})
     kept = {frame: kept_comparison(outputs, frame) for frame in frames}
     missing = [frame for frame in frames if kept[frame] is None]
-    yield from _render_missing(run, walked, [frame for frame in missing if sources[frame] == frame])
+    yield from _render_missing(run, chain, [frame for frame in missing if sources[frame] == frame])
     for frame in missing:
         if sources[frame] != frame:
             _take_over(outputs, sources[frame], frame)
@@ -61,7 +61,7 @@ def _radiance(outputs: RunOutputs, compared: ComparedFrame, frame: int) -> list[
     return [outputs.radiance(name, frame) for name in ("ground_truth", OBJECTS, *compared.comparison)]
 
 
-def _render_missing(run: PreparedRun, walked: WalkedPath, missing: Sequence[int]) -> Iterator[Progress]:
+def _render_missing(run: PreparedRun, chain: ChainResult, missing: Sequence[int]) -> Iterator[Progress]:
     """All ground truths, then all methods, so that Cycles builds each of the two scenes once."""
     if not missing:
         return
@@ -71,7 +71,7 @@ def _render_missing(run: PreparedRun, walked: WalkedPath, missing: Sequence[int]
         yield from render_ground_truths(run, missing, comparer)
         for done, frame in enumerate(missing):
             yield run.progress("methods", done / len(missing), f"comparing frame {frame}")
-            _compare_frame(run, frame, walked.lights[frame], comparer)
+            _compare_frame(run, frame, chain.lights[frame], comparer)
 
 
 def render_ground_truths(run: PreparedRun, frames: Sequence[int], comparer: Comparer) -> Iterator[Progress]:

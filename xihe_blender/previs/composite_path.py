@@ -16,18 +16,18 @@ from xihe_blender.io.outputs import write_picture
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.compare_path import surfaces_known
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.run_chain import WalkedPath
+from xihe_blender.previs.run_chain import ChainResult
 from xihe_blender.scene.phone_capture import scan_of
 from xihenet.io.recording import load_frame
 
 
-def composite_path(run: PreparedRun, walked: WalkedPath) -> Job[dict[int, dict[str, str]]]:
+def composite_path(run: PreparedRun, chain: ChainResult) -> Job[dict[int, dict[str, str]]]:
     """A job: the paths of the pictures by frame and method, as results name them; pictures and film are written."""
     shown = list(dict.fromkeys([run.settings.estimator, *run.settings.others]))
-    frames = [frame for frame in run.plan.frames if frame in run.needs.captured and frame in walked.lights]
+    frames = [frame for frame in run.plan.frames if frame in run.needs.captured and frame in chain.lights]
     pictures = {frame: {method: run.outputs.picture(method, frame) for method in shown} for frame in frames}
     missing = [frame for frame in frames if not all(path.exists() for path in pictures[frame].values())]
-    yield from _render_missing(run, walked, shown, missing)
+    yield from _render_missing(run, chain, shown, missing)
     captured = {f: run.outputs.picture("captured", f) for f in run.plan.frames if f in run.needs.captured}
     film = {frame: pictures.get(frame, {}).get(shown[0], picture) for frame, picture in captured.items()}
     if len(film) > 1:
@@ -40,7 +40,7 @@ def composite_path(run: PreparedRun, walked: WalkedPath) -> Job[dict[int, dict[s
     }
 
 
-def _render_missing(run: PreparedRun, walked: WalkedPath, shown: list[str], missing: list[int]) -> Iterator[Progress]:
+def _render_missing(run: PreparedRun, chain: ChainResult, shown: list[str], missing: list[int]) -> Iterator[Progress]:
     if not missing:
         return
     scan, has_key_light = scan_of(run.scene), run.settings.has_key_light
@@ -50,16 +50,16 @@ def _render_missing(run: PreparedRun, walked: WalkedPath, shown: list[str], miss
     ) as comparer:
         for done, frame in enumerate(missing):
             yield run.progress("methods", done / len(missing), f"putting the objects into frame {frame}")
-            _composite(run, walked, shown, frame, comparer)
+            _composite(run, chain, shown, frame, comparer)
 
 
-def _composite(run: PreparedRun, walked: WalkedPath, shown: list[str], frame: int, comparer: Comparer) -> None:
+def _composite(run: PreparedRun, chain: ChainResult, shown: list[str], frame: int, comparer: Comparer) -> None:
     captured = load_frame(run.outputs.capture(frame))
     if not comparer.shows_an_object(captured):
         for method in shown:
             write_picture(run.outputs.picture(method, frame), captured.srgb_u8)
         return
-    lights = {method: walked.lights[frame][method] for method in shown}
+    lights = {method: chain.lights[frame][method] for method in shown}
     surfaces = {} if comparer.has_scan else surfaces_known(run, frame, comparer)
     pictures, _, _ = comparer.render_over(captured, lights, surfaces)
     for method, picture in pictures.items():

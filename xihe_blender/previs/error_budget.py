@@ -62,7 +62,7 @@ from xihe_blender.previs.budget_looks import (
     view_outputs,
 )
 from xihe_blender.previs.budget_seeds import N_SEEDS, SeedErrors, over_seeds, with_seed
-from xihe_blender.previs.captured_path import said_of_path
+from xihe_blender.previs.captured_path import path_facts
 from xihe_blender.previs.path_renders import render_captures
 from xihe_blender.previs.plan import Probe, check_is_rendered, made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
@@ -141,7 +141,7 @@ def error_budget(
             job = _with_one_seed(with_seed(run, number), moments)
             measured.append((yield from part_of(n_seeds, number, 1, job)))
         results = BudgetResults(
-            **said_of_path(run, file, command, {"moments": n_moments, "seeds": n_seeds}),
+            **path_facts(run, file, command, {"moments": n_moments, "seeds": n_seeds}),
             objects=tuple(_of_object(run, item.name, moments, measured) for item in run.plan.objects),
         )
         write_budget_report(out / "report.html", results)

@@ -15,7 +15,7 @@ import numpy as np
 from xihe_blender.io.run_results import FrameResult, PhoneErrors
 from xihe_blender.jobs import Job
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.run_chain import WalkedPath
+from xihe_blender.previs.run_chain import ChainResult
 from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean
 from xihenet.io.recording import load_frame
@@ -27,15 +27,15 @@ NOT_REPEATED = "frame_rate"
 """Frames that the phone did not deliver were never captured."""
 
 
-def measure_phone(run: PreparedRun, walked: WalkedPath) -> Job[PhoneErrors | None]:
+def measure_phone(run: PreparedRun, chain: ChainResult) -> Job[PhoneErrors | None]:
     """A job: the errors of a walk with the phone's effects, without each of them, and with a perfect phone.
 
     None for a phone without any effect, and for a recording; an error is None without an active frame.
     """
-    phone = walked.phone
+    phone = chain.phone
     if not phone.on or not run.has_truth:
         return None
-    captured = [entry for entry in walked.frames if entry.captured]
+    captured = [entry for entry in chain.frames if entry.captured]
     all_on = mean(probe.shc_rmse for entry in captured for probe in entry.probes)
     without: dict[str, float | None] = {}
     for effect in [name for name in phone.effects if name in phone.on]:

@@ -22,7 +22,7 @@ from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.placement_results import N_EXTREMES, Place, PlacementResults, Verified, best_first
 from xihe_blender.io.run_lights import as_rgb
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.captured_path import capture_path, measured_lights, said_of_path
+from xihe_blender.previs.captured_path import capture_path, measured_lights, path_facts
 from xihe_blender.previs.kept_session import KeptSession
 from xihe_blender.previs.placement_pictures import write_pictures
 from xihe_blender.previs.prepare import PreparedRun
@@ -98,7 +98,7 @@ def placement(
         mapped = yield from map_places(session, wanted)
         places, verified = yield from _verified(run, mapped, wanted.n_verified)
         results = PlacementResults(
-            **said_of_path(captured.run, blend_file, command, asdict(wanted)),
+            **path_facts(captured.run, blend_file, command, asdict(wanted)),
             spacing_m=mapped.spacing_m,
             clearance_m=wanted.clearance_m if wanted.height_m is None else None,
             n_unknown=sum(place.expected_error is None for place in places),

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import bpy
 
-from xihe_blender.apply.reflection_pictures import light_called_for
+from xihe_blender.apply.reflection_pictures import required_light
 from xihe_blender.capture.reference_probe import ProbeSettings, ReferenceProbe, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
@@ -174,7 +174,7 @@ def prepare_run(
         measuring = measure_sample_count(scene, plan, survey, settings, exposure, transport)
         count = yield from shown(measuring, lambda _: Progress(0, 1, "measuring how many samples it takes"))
         write_json(outputs.sample_count, as_json(count))
-    light = light_called_for(plan.objects) if settings.light == "auto" else settings.light
+    light = required_light(plan.objects) if settings.light == "auto" else settings.light
     settings = replace(settings, light=light, trigger=above_noise(settings.trigger_in_use, count.capture_change))
     phone = choose_phone(scene, survey, settings)
     needs = phone.needs

@@ -31,7 +31,7 @@ from xihe_blender.previs.phone_errors import measure_phone
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.recorded_run import prepare_recorded, recorded_session
-from xihe_blender.previs.run_chain import WalkedPath, walk_path
+from xihe_blender.previs.run_chain import ChainResult, run_chain
 from xihe_blender.previs.settings import PrevisSettings, close_backends, load_estimators
 from xihe_blender.report.page import write_report
 from xihe_blender.scene.state import scene_kept
@@ -85,17 +85,17 @@ def previs(
                 run = yield from prepare_run(scene, plan, survey, outputs, settings, loaded)
             else:
                 run = yield from prepare_recorded(scene, plan, survey, outputs, recorded, loaded)
-            walked = yield from walk_path(run, keeps_session=True)
-            frames = yield from _compared(run, walked)
-            errors = yield from measure_phone(run, walked)
+            chain = yield from run_chain(run, keeps_session=True)
+            frames = yield from _compared(run, chain)
+            errors = yield from measure_phone(run, chain)
         close_backends(loaded)
         yield run.progress("methods", 1, "applying the light and writing the report")
-        changes = _apply(run, walked, frames)
+        changes = _apply(run, chain, frames)
         found = results.assemble(
             run,
             frames,
             lights=changes,
-            phone=walked.phone,
+            phone=chain.phone,
             errors=errors,
             file=file,
             command=command,
@@ -109,20 +109,20 @@ def previs(
         return content
 
 
-def _compared(run: PreparedRun, walked: WalkedPath) -> Job[list[FrameResult]]:
-    """A job: the frames of a walk beside their ground truth or, where there is none, over the recording."""
+def _compared(run: PreparedRun, chain: ChainResult) -> Job[list[FrameResult]]:
+    """A job: the frames of the chain beside their ground truth or, where there is none, over the recording."""
     if run.has_truth:
-        compared = yield from compare_path(run, walked)
-        return [replace(frame, compared=compared.get(frame.frame)) for frame in walked.frames]
-    composited = yield from composite_path(run, walked)
-    return [replace(frame, composited=composited.get(frame.frame, {})) for frame in walked.frames]
+        compared = yield from compare_path(run, chain)
+        return [replace(frame, compared=compared.get(frame.frame)) for frame in chain.frames]
+    composited = yield from composite_path(run, chain)
+    return [replace(frame, composited=composited.get(frame.frame, {})) for frame in chain.frames]
 
 
-def _apply(run: PreparedRun, walked: WalkedPath, frames: Sequence[FrameResult]) -> dict[str, tuple[LightChange, ...]]:
+def _apply(run: PreparedRun, chain: ChainResult, frames: Sequence[FrameResult]) -> dict[str, tuple[LightChange, ...]]:
     """Put the estimated light onto the timeline, and save a copy of the file that shows it; the light by object."""
-    estimated = {frame: methods[run.settings.estimator] for frame, methods in walked.lights.items()}
+    estimated = {frame: methods[run.settings.estimator] for frame, methods in chain.lights.items()}
     changes = results.light_changes(run.plan.objects, estimated, run.outputs, run.exposure)
     has_key_light = run.settings.has_key_light
-    apply_lights(run.scene, changes, walked.frames, run.exposure, run.outputs.folder, has_key_light=has_key_light)
+    apply_lights(run.scene, changes, chain.frames, run.exposure, run.outputs.folder, has_key_light=has_key_light)
     save_lit_blend(run.scene, run.plan.objects, last_surfaces(frames), run.outputs.lit_blend)
     return changes

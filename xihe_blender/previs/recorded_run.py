@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from xihe_blender.apply.reflection_pictures import light_called_for
+from xihe_blender.apply.reflection_pictures import required_light
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
@@ -131,7 +131,7 @@ def prepare_recorded(
     survey = seen_by_phone(survey, plan, recorded.frames)
     settings = recorded.settings
     if settings.light == "auto":
-        settings = replace(settings, light=light_called_for(plan.objects))
+        settings = replace(settings, light=required_light(plan.objects))
     effects = plan_effects(survey.required, overrides_in_force(scene, settings.effect_choices))
     phone = choose_phone(scene, survey, settings)
     captured = {frame: one.in_view for frame, one in survey.frames.items() if frame in phone.needs.captured}

@@ -41,15 +41,15 @@ Lights = dict[str, dict[str, ObjectLight]]
 
 
 @dataclass(frozen=True, eq=False)
-class WalkedPath:
-    """What a walk brought: frames not yet compared, and the light in use from the first frame captured on."""
+class ChainResult:
+    """What the chain brought: frames not yet compared, and the light in use from the first frame captured on."""
 
     phone: SimulatedPhone
     frames: list[FrameResult] = field(default_factory=list)
     lights: dict[int, Lights] = field(default_factory=dict)
 
 
-def walk_path(run: PreparedRun, *, keeps_session: bool = False) -> Job[WalkedPath]:
+def run_chain(run: PreparedRun, *, keeps_session: bool = False) -> Job[ChainResult]:
     """A job: render the path of `run`, as far as it is not rendered yet, and run the chain on it.
 
     With `keeps_session` what a phone with flaws saw is kept beside the captures, see `kept_session`.
@@ -59,10 +59,10 @@ def walk_path(run: PreparedRun, *, keeps_session: bool = False) -> Job[WalkedPat
     phone = phone_of_captures(run)
     looked_s = (time.perf_counter() - start) / max(1, len(run.needs.captured))
     captured_s = {frame: work_s.get(frame, 0.0) + looked_s for frame in run.needs.captured}
-    walk = _Walk(run, phone, captured_s, keeps_session=keeps_session)
+    chain = _ChainRun(run, phone, captured_s, keeps_session=keeps_session)
     for frame in run.plan.frames:
-        walk.step(frame)
-    return walk.walked
+        chain.step(frame)
+    return chain.result
 
 
 def phone_of_captures(run: PreparedRun) -> SimulatedPhone:
@@ -83,8 +83,8 @@ def _facts_of_captures(run: PreparedRun) -> dict[int, CaptureFacts]:
     return facts
 
 
-class _Walk:
-    """The state of one walk while it is under way; `captured_s` is the work on each frame before, without rendering."""
+class _ChainRun:
+    """The state of the chain under way; `captured_s` is the earlier work on each frame, without rendering."""
 
     def __init__(
         self, run: PreparedRun, phone: SimulatedPhone, captured_s: dict[int, float], *, keeps_session: bool
@@ -94,7 +94,7 @@ class _Walk:
         self.session = PhoneSession(
             run.plan.probes, chain, run.estimator, phone.link_in_use, seed=seed, others=run.estimators[1:]
         )
-        self.walked = WalkedPath(phone)
+        self.result = ChainResult(phone)
         self.truth = TrueLight(run, self.session.controller)
 
     def step(self, frame: int) -> None:
@@ -105,9 +105,9 @@ class _Walk:
         else:
             is_delivered = frame in self.run.needs.delivered
             entry = FrameResult(frame=frame, time_s=time_s, active=False, is_delivered=is_delivered)
-        if entry.active or self.walked.lights:
-            self.walked.lights[frame] = self._lights_in_use(frame, time_s)
-        self.walked.frames.append(entry)
+        if entry.active or self.result.lights:
+            self.result.lights[frame] = self._lights_in_use(frame, time_s)
+        self.result.frames.append(entry)
 
     def _captured_frame(self, rendered: FrameRenders, start: float) -> FrameResult:
         """A frame, as the phone saw it, that goes through the chain; `stage_ms` adds up its positions."""

@@ -101,7 +101,7 @@ class Handler:
     def __init__(self, request: Request, site: Site, route: str) -> None:
         self.request, self.site, self.service, self.route = request, site, site.service, route
         self.headers: dict[str, str] = {}
-        self.session_told = ""
+        self.session_begin = ""
         self._start = time.perf_counter()
 
     def run(self, sent: Sequence[str]) -> None:
@@ -207,7 +207,7 @@ class Handler:
                 status=status,
                 ms=round(1e3 * took_s, 3),
                 body_bytes=self.request.n_bytes,
-                session=self.session_told,
+                session=self.session_begin,
             )
 
     def token(self) -> str:

@@ -28,7 +28,7 @@ class PublishedSessionRoute(Handler):
             n_anchors = protocol.anchors_wanted(headers.get("Anchor-Size"), sizes)
             axes = checked_axes(headers.get(protocol.AXES_HEADER, PUBLISHED_AXES))
         session = self.service.open(new_session(n_anchors, self.service.settings.target, axes))
-        self.session_told = begin_of(session.id)
+        self.session_begin = begin_of(session.id)
         self.tell({"ok": True, "sid": session.id})
 
 
@@ -40,7 +40,7 @@ class PublishedEstimationRoute(Handler):
         session_id = headers.get("Session-ID")
         if session_id is None:
             raise Refused(400, "Session-ID: expected the id that opening a session gave, got no such header")
-        self.session_told = begin_of(session_id)
+        self.session_begin = begin_of(session_id)
         session = self.service.published_session(session_id)
         self.service.check_room()
         with self.service.timed("decode"), as_sent():
@@ -61,7 +61,7 @@ class SessionsRoute(Handler):
         with as_sent():
             session, token = self._wanted_session()
         self.service.open(session)
-        self.session_told = begin_of(session.id)
+        self.session_begin = begin_of(session.id)
         inference = self.service.inference
         self.tell(
             {
@@ -116,12 +116,12 @@ class SessionRoute(Handler):
     queries = ()
 
     def get(self, session_id: str) -> None:
-        self.session_told = begin_of(session_id)
+        self.session_begin = begin_of(session_id)
         session = self.service.session_for(session_id, self.token())
         self.tell({"ok": True, **_described(self.service, session)})
 
     def delete(self, session_id: str) -> None:
-        self.session_told = begin_of(session_id)
+        self.session_begin = begin_of(session_id)
         session = self.service.session_for(session_id, self.token(), as_owner=True)
         self.service.store.delete(session.id)
         self.service.metrics.count("xihe_sessions_total", happened="deleted")
@@ -134,7 +134,7 @@ class ClientsRoute(Handler):
     queries = ()
 
     def post(self, session_id: str) -> None:
-        self.session_told = begin_of(session_id)
+        self.session_begin = begin_of(session_id)
         token = new_token()
         while not self._joined(session_id, token):
             pass  # Another client joined by another worker at that very moment.
@@ -162,7 +162,7 @@ class PositionRoute(Handler):
     queries = ("replace", "share", "key_light", "reflections")
 
     async def post(self, session_id: str, name: str) -> None:
-        self.session_told = begin_of(session_id)
+        self.session_begin = begin_of(session_id)
         session = self.service.session_for(session_id, self.token(), is_fresh=False)
         content_type = self.request.headers.get("Content-Type", "")
         if not protocol.is_clean(content_type):
@@ -175,7 +175,7 @@ class PositionRoute(Handler):
         self.tell(await self.service.estimate(session, name, sent, wishes))
 
     def delete(self, session_id: str, name: str) -> None:
-        self.session_told = begin_of(session_id)
+        self.session_begin = begin_of(session_id)
         session = self.service.session_for(session_id, self.token())
         if not self.service.store.delete_position(session.id, name):
             raise Refused(404, "the session has no such position")

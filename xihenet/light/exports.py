@@ -95,7 +95,7 @@ def export_files(
             "for": PLATFORMS[platform].title,
             **({} if convention is None else _facts(platform, convention, reading)),
             "units": units,
-            **({"pictures": _said_of_pictures(platform)} if any(name.endswith(".hdr") for name in files) else {}),
+            **({"pictures": _format_pictures(platform)} if any(name.endswith(".hdr") for name in files) else {}),
             "software": f"xihe {__version__}",
             "lights": entries,
         }
@@ -126,7 +126,7 @@ def file_names(object_names: Sequence[str]) -> dict[str, str]:
 
 def _facts(platform: str, convention: Convention, reading: str | None) -> dict[str, Any]:
     of_main = {"direction": convention.direction, "intensity": convention.main_unit}
-    facts: dict[str, Any] = {"axes": convention.axes_in_words, "mainLight": of_main}
+    facts: dict[str, Any] = {"axes": convention.axes_text, "mainLight": of_main}
     if PLATFORMS[platform].picture is None:
         facts["coefficients"] = "all of red, green, blue" if convention.by_colour else "red, green, blue of each"
     if len(PLATFORMS[platform].readings) > 1:
@@ -134,7 +134,7 @@ def _facts(platform: str, convention: Convention, reading: str | None) -> dict[s
     return facts
 
 
-def _said_of_pictures(platform: str) -> str:
+def _format_pictures(platform: str) -> str:
     return (
         f"equirectangular, seen from within: the top row is up, the middle column looks along Blender's "
         f"{PLATFORMS[platform].picture or REFLECTIONS}, what lies to the right of that is to the right"

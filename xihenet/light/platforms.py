@@ -56,7 +56,7 @@ class Convention:
     ----------
     axes : (3, 3) orthonormal; a direction in Blender's axes times this is the same direction in the engine's. A
         determinant of -1 makes them left-handed
-    axes_in_words : where Blender's (x, y, z) is found
+    axes_text : where Blender's (x, y, z) is found
     factors : (9,) what each radiance coefficient is multiplied by, in our order
     order : which of ours stands at each place
     by_colour : whether all nine of red come first, then green and blue; else red, green and blue of each
@@ -69,7 +69,7 @@ class Convention:
     """
 
     axes: ArrayF64
-    axes_in_words: str
+    axes_text: str
     factors: ArrayF64 = field(default_factory=lambda: np.ones(9))
     order: tuple[int, ...] = IN_ORDER
     by_colour: bool = False
@@ -116,7 +116,7 @@ class MainLight:
 
 
 _RIGHT = Convention(Y_UP, "right-handed, Y up: Blender's (x, y, z) is (x, z, -y)")
-_SOFT_APART = _RIGHT.axes_in_words + "; but coefficients and cube map have {} mirrored, for {}"
+_SOFT_APART = _RIGHT.axes_text + "; but coefficients and cube map have {} mirrored, for {}"
 _SIGNED = replace(_RIGHT, factors=SIGNS)
 _TRAVELS = replace(_RIGHT, direction="along its travel")
 _UNITY = Convention(
@@ -152,7 +152,7 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
                 ),
                 "right-handed": replace(
                     _TRAVELS,
-                    axes_in_words=_SOFT_APART.format("z", "its right-handed scenes"),
+                    axes_text=_SOFT_APART.format("z", "its right-handed scenes"),
                     factors=SIGNS,
                     soft_axes=Z_MIRRORED,
                 ),
@@ -183,7 +183,7 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
             {
                 "ar-foundation": _UNITY,
                 "fbx": replace(
-                    _UNITY, axes=X_MIRRORED, axes_in_words="left-handed, Y up: Blender's (x, y, z) is (-x, z, -y)"
+                    _UNITY, axes=X_MIRRORED, axes_text="left-handed, Y up: Blender's (x, y, z) is (-x, z, -y)"
                 ),
             },
             script="XiheLight.cs",
@@ -218,13 +218,13 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
             {
                 "condon-shortley": replace(
                     _TRAVELS,
-                    axes_in_words=_SOFT_APART.format("x", "a scene of Babylon.js that is not right-handed"),
+                    axes_text=_SOFT_APART.format("x", "a scene of Babylon.js that is not right-handed"),
                     factors=SIGNS * _OF_COSINE,
                     soft_axes=X_MIRRORED,
                 ),
                 "right-handed": replace(
                     _TRAVELS,
-                    axes_in_words=_SOFT_APART.format("z", "a right-handed scene of Babylon.js"),
+                    axes_text=_SOFT_APART.format("z", "a right-handed scene of Babylon.js"),
                     factors=SIGNS * _OF_COSINE,
                     soft_axes=Z_MIRRORED,
                 ),

@@ -140,12 +140,12 @@ class TriggerPoint:
 
 def trigger_points(trials: Sequence[Trial], estimator: str) -> list[TriggerPoint]:
     """By rising threshold; empty for an estimator that no trigger matters to."""
-    own = [trial for trial in chosen(trials, estimator=estimator) if trial.thetas]
-    known = [trial for trial in own if all(one.per_minute is not None for one in trial.thetas)]
-    eager = [trial.thetas[0].shc_rmse for trial in known]
+    own = [trial for trial in chosen(trials, estimator=estimator) if trial.trigger_sweep]
+    known = [trial for trial in own if all(one.per_minute is not None for one in trial.trigger_sweep)]
+    eager = [trial.trigger_sweep[0].shc_rmse for trial in known]
     scenes = [trial.scene for trial in known]
     points = []
-    for index, same in enumerate(zip(*(trial.thetas for trial in known), strict=True)):
+    for index, same in enumerate(zip(*(trial.trigger_sweep for trial in known), strict=True)):
         errors = [one.shc_rmse for one in same]
         per_minute = float(np.mean([one.per_minute for one in same]))
         more = paired_difference(errors, eager, scenes, np.random.default_rng(0)) if index else None
@@ -274,7 +274,7 @@ def phone_differences(trials: Sequence[Trial]) -> list[Comparison]:
 
 def how_often(trials: Sequence[Trial]) -> str:
     """Of the best estimator that the trigger matters to: it may not be the one to ship."""
-    best = best_of([trial for trial in trials if trial.thetas], MEASURES[0])
+    best = best_of([trial for trial in trials if trial.trigger_sweep], MEASURES[0])
     points = trigger_points(trials, best) if best is not None else []
     if not points:
         return "No estimator that looks at the room was tried on a path that sees an object."

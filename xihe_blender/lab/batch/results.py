@@ -88,7 +88,9 @@ class TrialFigures(Metrics, ChainFigures):
     object_pixels: Annotated[float | None, "of a compared picture that virtual objects cover, mean"] = None
     payload_bytes: Annotated[int, "sent"]
     frames: Annotated[tuple[TrialFrame, ...], "see there"]
-    thetas: Annotated[tuple[TriggerFigures, ...], "see there; none for estimators that the trigger does not matter to"]
+    trigger_sweep: Annotated[
+        tuple[TriggerFigures, ...], "see there; none for estimators that the trigger does not matter to"
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +195,10 @@ class BatchManifest:
 
 
 WHICH = ("scene", "seed", "phone", "estimator")
-TRIAL_COLUMNS = (*WHICH[:2], *(part.name for part in fields(TrialFigures) if part.name not in ("frames", "thetas")))
+TRIAL_COLUMNS = (
+    *WHICH[:2],
+    *(part.name for part in fields(TrialFigures) if part.name not in ("frames", "trigger_sweep")),
+)
 FRAME_COLUMNS = (*WHICH, *(part.name for part in fields(TrialFrame)))
 UNIT_COLUMNS = ("unit", "scene", "seed", "elapsed_s", "processor_s", "render_s", "peak_memory_mb", "written_bytes")
 

@@ -54,7 +54,7 @@ from xihe_blender.previs.files_read import files_named, files_read
 from xihe_blender.previs.path_renders import render_path
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
-from xihe_blender.previs.run_chain import Lights, WalkedPath, walk_path
+from xihe_blender.previs.run_chain import ChainResult, Lights, run_chain
 from xihe_blender.previs.settings import load_estimators
 from xihe_blender.report.values import mean
 from xihe_blender.scene.blend_file import open_blend
@@ -100,16 +100,16 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
         # Every frame that any phone captures, with what any needs beside it.
         first, needs = runs[0], functools.reduce(operator.or_, (run.needs for run in runs))
         yield from render_path(replace(first, needs=needs, reuse=render_reuse(first.survey, first.effects, needs)))
-        walks = []
+        chains = []
         for index, run in enumerate(runs):
-            walks.append(run_blocking(walk_path(run)))
-            yield run.progress("ground truth", 0, f"trial {index + 1} of {len(runs)} has walked")
-        swept = [trigger_sweep(run, walked) for run, walked in zip(runs, walks, strict=True)]
-        by_trial, pixels, compared_s = yield from compare_unit(runs, walks)
+            chains.append(run_blocking(run_chain(run)))
+            yield run.progress("ground truth", 0, f"trial {index + 1} of {len(runs)} is run")
+        swept = [trigger_sweep(run, chain) for run, chain in zip(runs, chains, strict=True)]
+        by_trial, pixels, compared_s = yield from compare_unit(runs, chains)
     return UnitResult(
-        trials=tuple(map(trial_figures, runs, walks, by_trial, swept, itertools.repeat(pixels))),
-        step_ms=tuple(map(step_ms, walks)),
-        render_s=sum(entry.render_s for entry in walks[0].frames) + compared_s,
+        trials=tuple(map(trial_figures, runs, chains, by_trial, swept, itertools.repeat(pixels))),
+        step_ms=tuple(map(step_ms, chains)),
+        render_s=sum(entry.render_s for entry in chains[0].frames) + compared_s,
         cost=_cost(folder, start_s, start_processor_s),
         read=read,
     )
@@ -123,9 +123,9 @@ def _begun_with(outputs: RunOutputs) -> FilesRead:
     return read
 
 
-def step_ms(walked: WalkedPath) -> float | None:
+def step_ms(chain: ChainResult) -> float | None:
     """The median over the frames: in the first one of the first trial tables are made that all trials share."""
-    steps = [sum(entry.stage_ms.values()) / len(entry.probes) for entry in walked.frames if entry.active]
+    steps = [sum(entry.stage_ms.values()) / len(entry.probes) for entry in chain.frames if entry.active]
     return statistics.median(steps) if steps else None
 
 
@@ -153,7 +153,7 @@ def _peak_memory_mb() -> float | None:
 
 
 def compare_unit(
-    runs: Sequence[PreparedRun], walks: Sequence[WalkedPath]
+    runs: Sequence[PreparedRun], chains: Sequence[ChainResult]
 ) -> Job[tuple[list[dict[int, Metrics]], dict[int, float | None], float]]:
     """Every trial against the truth, at the frames that `xihe previs` would compare.
 
@@ -161,11 +161,11 @@ def compare_unit(
     """
     first = runs[0]
     step = first.settings.preset_values.comparison_step
-    wanted = [compared_frames([frame.frame for frame in walked.frames if frame.active], step) for walked in walks]
+    wanted = [compared_frames([frame.frame for frame in chain.frames if frame.active], step) for chain in chains]
     frames = sorted(frozenset[int]().union(*wanted))
     trials = {frame: [index for index, of_trial in enumerate(wanted) if frame in of_trial] for frame in frames}
     lights = {
-        frame: {str(k): walks[k].lights[frame][runs[k].settings.estimator] for k in trials[frame]} for frame in frames
+        frame: {str(k): chains[k].lights[frame][runs[k].settings.estimator] for k in trials[frame]} for frame in frames
     }
     sources = comparison_sources(first, lights)
     read = functools.partial(from_json, ComparedTrials)
@@ -219,11 +219,11 @@ def _compared(
 
 
 def trial_figures(
-    run: PreparedRun, walked: WalkedPath, compared: Mapping[int, Metrics], swept: Sequence[TriggerFigures],
+    run: PreparedRun, chain: ChainResult, compared: Mapping[int, Metrics], swept: Sequence[TriggerFigures],
     pixels: Mapping[int, float | None],
 ) -> TrialFigures:  # fmt: skip
     """One trial: its means, its frames, and what a more or less eager trigger would have done."""
-    active = [entry for entry in walked.frames if entry.active]
+    active = [entry for entry in chain.frames if entry.active]
     probes = [probe for entry in active for probe in entry.probes]
     not_compared = Metrics(**dict.fromkeys(METRICS))
     frames = tuple(_trial_frame(entry, compared.get(entry.frame, not_compared)) for entry in active)
@@ -231,17 +231,17 @@ def trial_figures(
     return TrialFigures(
         phone=run.settings.phone,
         estimator=run.settings.estimator,
-        n_frames=len(walked.frames),
+        n_frames=len(chain.frames),
         n_active_frames=len(active),
         n_compared_frames=len(compared),
         n_estimates=n_fired,
-        estimates_per_minute=estimates_per_minute(walked, n_fired),
+        estimates_per_minute=estimates_per_minute(chain, n_fired),
         **_means(probes),
         **{metric: mean(getattr(frame, metric) for frame in frames) for metric in METRICS},
         object_pixels=mean(pixels[frame] for frame in compared),
         payload_bytes=sum(probe.payload_bytes for probe in probes),
         frames=frames,
-        thetas=tuple(swept),
+        trigger_sweep=tuple(swept),
     )
 
 
@@ -254,34 +254,34 @@ def _means(probes: Sequence[ProbeResult]) -> dict[str, float | None]:
     return {name: mean(getattr(probe, name) for probe in probes) for name in ("shc_rmse", "coverage")}
 
 
-def estimates_per_minute(walked: WalkedPath, n_fired: int) -> float | None:
+def estimates_per_minute(chain: ChainResult, n_fired: int) -> float | None:
     """Estimates per minute in which a position is in view, at the path's own frame rate; None without one in view."""
-    times = [entry.time_s for entry in walked.frames]
-    n_steps = sum(len(entry.probes) for entry in walked.frames)
+    times = [entry.time_s for entry in chain.frames]
+    n_steps = sum(len(entry.probes) for entry in chain.frames)
     if n_steps == 0 or len(times) < 2:
         return None
     step_s: float = (times[-1] - times[0]) / (len(times) - 1)
     return 60 * n_fired / (n_steps * step_s)
 
 
-def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
+def trigger_sweep(run: PreparedRun, chain: ChainResult) -> list[TriggerFigures]:
     """Of each of FACTORS, with the mean error over positions and frames.
 
     Empty for estimators that do not look at the anchors, and for a path that sees no position.
     """
-    active = [entry for entry in walked.frames if entry.active]
+    active = [entry for entry in chain.frames if entry.active]
     if run.settings.estimator in WITHOUT_ANCHORS or not active:
         return []
-    own, link = run.settings.trigger_in_use, walked.phone.link_in_use
+    own, link = run.settings.trigger_in_use, chain.phone.link_in_use
     factors = FACTORS if own.theta or own.coverage_theta else (1.0,)
     triggers = [own.scaled(factor) for factor in factors]
-    chain, seed = replace(run.settings, light="sh").chain(run.exposure), run.settings.seed
-    chains = [replace(chain, trigger=trigger) for trigger in triggers]
-    sessions = [PhoneSession(run.plan.probes, one, run.estimator, link, seed=seed) for one in chains]
+    how, seed = replace(run.settings, light="sh").chain(run.exposure), run.settings.seed
+    each = [replace(how, trigger=trigger) for trigger in triggers]
+    sessions = [PhoneSession(run.plan.probes, one, run.estimator, link, seed=seed) for one in each]
     errors: list[list[float]] = [[] for _ in factors]
     n_fired = [0] * len(factors)
-    for entry in [entry for entry in walked.frames if entry.captured]:
-        seen, _ = walked.phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
+    for entry in [entry for entry in chain.frames if entry.captured]:
+        seen, _ = chain.phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
         truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
         for index, session in enumerate(sessions):
             reports, _ = session.step(seen, truth, list(truth))
@@ -292,7 +292,7 @@ def trigger_sweep(run: PreparedRun, walked: WalkedPath) -> list[TriggerFigures]:
             factor=factor,
             theta=trigger.light_theta if trigger.policy == "light" else trigger.theta,
             coverage_theta=trigger.coverage_theta,
-            per_minute=estimates_per_minute(walked, fired),
+            per_minute=estimates_per_minute(chain, fired),
             shc_rmse=statistics.fmean(of_one),
         )
         for factor, trigger, fired, of_one in zip(factors, triggers, n_fired, errors, strict=True)

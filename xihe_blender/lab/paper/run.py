@@ -1,7 +1,7 @@
 """The evaluation's run: it can be stopped, and no study is measured twice.
 
 Rooms are recorded first, into `sessions`; then each study writes results/NAME.json, whole, when its last row is
-there. The file says what it was made from: seed, effort, the sessions' scenes, weights of networks and the study's
+there. The file says what it was made from: seed, size, the sessions' scenes, weights of networks and the study's
 own source. A study whose file says the same is not run again. Tables, report and page are made from those files
 alone.
 """

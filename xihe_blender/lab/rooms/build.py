@@ -97,8 +97,8 @@ def rooms_held(folder: Path, provenance: dict[str, Any]) -> Iterator[None]:
 
     What was written a moment ago may be a worker's of a build that was killed itself.
     """
-    made_with = {**provenance, NOT_COMPARED: f"xihe {__version__}"}
-    with FolderManifest(folder, folder / MANIFEST, "a build of rooms", made_with).held():
+    decides = {**provenance, NOT_COMPARED: f"xihe {__version__}"}
+    with FolderManifest(folder, folder / MANIFEST, "a build of rooms", decides).held():
         for part in folder.glob(".room_*.npz"):
             with contextlib.suppress(FileNotFoundError):
                 if time.time() - part.stat().st_mtime > LEFT_BEHIND_S:
