@@ -1,4 +1,4 @@
-"""By how much do two methods differ that were tried on the same things, and how sure is that?
+"""Paired differences: by how much do two methods differ that were tried on the same things, and how sure is that?
 
 Differences are taken pair by pair, so that what makes one scene harder than another falls out. Pairs of one group, such
 as two seeds of one scene, are not independent: whole groups are drawn anew, which answers "what about other scenes?".

@@ -1,4 +1,4 @@
-"""All that can be seen from a place: six pictures of 90 degrees, as a phone would take them that looks everywhere.
+"""Pictures all around a place: six of 90 degrees, as a phone would take them that looks everywhere.
 
 Their colour and plane depth are those of captures, so that the chain takes them as further frames.
 """

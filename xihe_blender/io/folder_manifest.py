@@ -1,4 +1,4 @@
-"""Whose is this folder? Work is taken up only where the same work was left.
+"""The manifest of a folder: whose is it? Work is taken up only where the same work was left.
 
 All that decides its numbers (settings, versions, content of files) is written down before anything else. A folder that
 holds something else is refused, not mixed and not overwritten.

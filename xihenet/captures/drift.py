@@ -1,4 +1,4 @@
-"""By how much did the phone's exposure and white balance drift? What is seen again in another frame tells.
+"""Drift of the phone's exposure and white balance: by how much? What is seen again in another frame tells.
 
 Phones adapt both from frame to frame and seldom say so: a wall becomes darker because a window came into view. Points
 of earlier frames are projected into each new one. Where the depth agrees it is the same surface, and the ratio of its

@@ -1,4 +1,4 @@
-"""Between two estimates the room goes on: what does the light in use do until the next one is there?
+"""The light in use between two estimates: what does it do while the room goes on, until the next one is there?
 
 A lamp that is dimmed changes every frame, and an estimate is always of a frame gone by: the trigger waits for a change
 that is worth its cost, and the network takes its time. The estimate is carried on: multiplied, per channel, by how much

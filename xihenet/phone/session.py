@@ -1,4 +1,4 @@
-"""One session as the app on the phone lives it: its frames go into the chain, estimates come back when they arrive.
+"""A session as the app on the phone lives it: its frames go into the chain, estimates come back when they arrive.
 
 The chain is the controller's and stays as it is; the delay between an estimate and the light in use is added behind
 it, here alone. A run has one session; the report makes more of them, from the same captures, with one effect left out.

@@ -1,4 +1,4 @@
-"""One process of a data set's build: makes the rooms it is told, one file after the other.
+"""A worker, one process of a data set's build: makes the rooms it is told, one file after the other.
 
 Started by `build`, as `python -m xihe_blender.lab.rooms.worker`. It talks through the files it leaves: a room that is
 there is whole. Rendering uses one thread: two processes with one thread each beat one with two.

@@ -1,1 +1,1 @@
-"""One module per table or figure of the paper; each has a `STUDY`, and is found because it is here."""
+"""Studies, one module per table or figure of the paper; each has a `STUDY`, and is found because it is here."""
