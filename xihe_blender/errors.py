@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+from collections.abc import Iterator
+from pathlib import Path
 
 
 class UserError(Exception):
     """A mistake of the user's. Command line: the message and exit 2. Operator: the message in red and CANCELLED."""
+
+
+@contextlib.contextmanager
+def of_file(file: Path) -> Iterator[None]:
+    """A UserError from within names `file` first: of several scenes, most are called "Scene"."""
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f"{file}: {error}") from error
 
 
 def format_disk_error(error: OSError) -> str:

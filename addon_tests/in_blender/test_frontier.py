@@ -2,6 +2,8 @@
 
 import copy
 import json
+import math
+import re
 import shutil
 from dataclasses import replace
 from functools import partial
@@ -251,11 +253,17 @@ def test_a_frontier_of_other_weights_is_refused(done, tmp_path):
         run_blocking(frontier([done / "room.blend"], tmp_path / "out", SMALL))
 
 
-def test_a_scene_without_a_camera_is_refused_before_anything_is_measured(done, tmp_path):
+def test_a_scene_that_cannot_be_measured_is_named_before_anything_is_measured(done, tmp_path):
     room_with_a_virtual_sphere()
-    bpy.data.objects.remove(bpy.context.scene.camera)
-    job = frontier([done / "room.blend", saved(tmp_path / "blind.blend")], tmp_path / "out", SMALL)
-    assert next(job).doing == "room: looked at the scene"  # Between the scenes Ctrl-C is heard.
-    with pytest.raises(UserError, match="has no camera"):
-        run_blocking(job)
+    camera = bpy.context.scene.camera
+    camera.animation_data_clear()
+    camera.rotation_euler = (math.pi, 0, 0)
+    away = saved(tmp_path / "away.blend")
+    bpy.data.objects.remove(camera)
+    blind = saved(tmp_path / "blind.blend")
+    for file, words in ((blind, "has no camera"), (away, "never has a virtual object in view")):
+        job = frontier([done / "room.blend", file], tmp_path / "out", SMALL)
+        assert next(job).doing == "room: looked at the scene"  # Between the scenes Ctrl-C is heard.
+        with pytest.raises(UserError, match=f"{re.escape(str(file))}: .*{words}"):
+            run_blocking(job)
     assert not (tmp_path / "out").exists() and read(done)

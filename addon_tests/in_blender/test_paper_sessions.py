@@ -45,3 +45,10 @@ def test_a_session_of_a_room_whose_pictures_have_changed_since_is_refused(tmp_pa
     picture.write_bytes(b"two")
     with pytest.raises(UserError, match="another library, image or other file"):
         check_session(file, folder, of_walk, 0)
+
+
+def test_a_scene_that_cannot_be_recorded_is_named(tmp_path):
+    walk(2).camera = None
+    file = saved(tmp_path / "blind.blend")
+    with pytest.raises(UserError, match=r"blind\.blend: .* has no camera"):
+        check_session(file, tmp_path / "session", QUICK_WALK, 0)

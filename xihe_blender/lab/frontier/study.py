@@ -22,7 +22,7 @@ import numpy as np
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
-from xihe_blender.errors import UserError
+from xihe_blender.errors import UserError, of_file
 from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256
 from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_or_made
@@ -93,7 +93,9 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
     patterns = []
     for file in files:
-        survey_scene(open_blend(file), settings.size)
+        scene = open_blend(file)
+        with of_file(file):
+            survey_scene(scene, settings.size)
         patterns += files_read()
         yield Progress(0, len(files), f"{file.stem}: looked at the scene")
     provenance = {
@@ -223,9 +225,6 @@ def _preparation(study: SceneStudy) -> Job[Json]:
     yield step
     exposure = yield from shown(meter_exposure(scene, plan.frames, study.settings.seed), lambda _: step)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
-    if not pilot_views(plan, study.survey):
-        words = "never has a virtual object in view: move the camera's path, or objects"
-        raise UserError(f"scene {scene.name!r} {words}")
     samples = {}
     for index, name in enumerate(PRESETS):
         settings = PrevisSettings(preset=name, seed=study.settings.seed)
@@ -280,7 +279,13 @@ def kept_truths(names: Sequence[str], content: Json) -> dict[str, ArrayF64]:
 
 
 def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:
-    """What a run on `scene` would do, and what its path is like; UserError as a run raises it."""
+    """What a run on `scene` would do, and what its path is like.
+
+    UserError as a run raises it, and where no virtual object is ever in view.
+    """
     check_is_rendered(scene)
     plan = plan_previs(scene, PrevisSettings(size=size))
-    return plan, run_blocking(survey_path(scene, plan))
+    survey = run_blocking(survey_path(scene, plan))
+    if not pilot_views(plan, survey):
+        raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
+    return plan, survey

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from xihe_blender.errors import UserError
+from xihe_blender.errors import UserError, of_file
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.json_records import Json
 from xihe_blender.io.kept_files import kept_json
@@ -126,7 +126,8 @@ def planned_walk(
     n_between = _n_between(scene, walk)
     _slow_down(scene, n_between)
     settings = PrevisSettings(preset=walk.preset, size=walk.size, seed=seed)
-    plan = plan_previs(scene, settings) if virtual_objects(scene) else path_plan(scene, settings)[1]
+    with of_file(file):
+        plan = plan_previs(scene, settings) if virtual_objects(scene) else path_plan(scene, settings)[1]
     frames = tuple(evenly_chosen(list(plan.frames), walk.n_frames))
     return scene, plan, replace(settings, frames=frames), frames, n_between
 
