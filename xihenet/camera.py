@@ -145,9 +145,8 @@ def _far_pixels(frame: RgbdFrame, depth_m: ArrayF32) -> FarPixels | None:
         return None
     row, column = np.divmod(pixels, frame.intrinsics.width)
     across, up = _ray_slopes(frame.intrinsics)
-    with np.errstate(invalid="ignore"):  # Infinite rays have no direction: NaN says so.
-        rays = frame.world_from_camera[:3, :3] @ np.stack([across[column], up[row], np.full(len(row), -1.0)])
-        return FarPixels(pixels, (rays / np.linalg.norm(rays, axis=0)).astype(np.float32))
+    rays = frame.world_from_camera[:3, :3] @ np.stack([across[column], up[row], np.full(len(row), -1.0)])
+    return FarPixels(pixels, (rays / np.linalg.norm(rays, axis=0)).astype(np.float32))
 
 
 def _unprojected(frame: RgbdFrame, depth_m: ArrayF32) -> ArrayF32 | ArrayF64:
@@ -342,18 +341,16 @@ def sensed_ambient(srgb_u8: ArrayU8, exposure: float) -> ArrayF64:
 
 
 def pixel_rays(intrinsics: Intrinsics) -> ArrayF64:
-    """(H, W, 3) the ray through each pixel, in camera axes, at plane depth 1; infinite where it is beyond float64."""
-    with np.errstate(over="ignore"):  # A focal length near 0 has rays that no float holds.
-        across = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
-        up = -(np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
+    """(H, W, 3) the ray through each pixel, in camera axes, at plane depth 1."""
+    across = (np.arange(intrinsics.width) + 0.5 - intrinsics.cx) / intrinsics.fx
+    up = -(np.arange(intrinsics.height) + 0.5 - intrinsics.cy) / intrinsics.fy
     return np.stack(np.broadcast_arrays(across[None, :], up[:, None], np.float64(-1)), axis=-1)
 
 
 @functools.lru_cache(maxsize=8)
 def _ray_slopes(intrinsics: Intrinsics) -> tuple[ArrayF32, ArrayF32]:
     """x per column (W,) and y per row (H,) of the ray with plane depth 1 through each pixel centre, in the camera."""
-    with np.errstate(over="ignore"):  # Points along rays that float32 cannot hold are not finite, and counted.
-        rays = pixel_rays(intrinsics).astype(np.float32)
+    rays = pixel_rays(intrinsics).astype(np.float32)
     return rays[0, :, 0].copy(), rays[:, 0, 1].copy()
 
 

@@ -31,6 +31,9 @@ FLOAT32_TO_M = 8192.0
 """Distance from the world's origin from which on float32 has steps of a millimetre; 5,000 km from it, as in the
 coordinates of maps, they are half a metre."""
 
+SHORTEST_FOCAL_PX, FARTHEST_PX = 1e-6, 1e9
+"""Of intrinsics, beyond any camera: squares of what lies along such rays fit float32, so that no stage has to ask."""
+
 TriggerReason = Literal["first", "colour", "coverage", "light", "moved", "none"]
 
 
@@ -60,8 +63,9 @@ class Intrinsics:
     Parameters
     ----------
     width, height : image size in pixels, each at least 1
-    fx, fy : focal lengths in pixels, positive
-    cx, cy : principal point in pixels from the top left corner of the image; may lie outside (lens shift)
+    fx, fy : focal lengths in pixels, 1e-6 to 1e9
+    cx, cy : principal point in pixels from the top left corner of the image; may lie outside (lens shift), by 1e9 at
+        most
     """
 
     width: int
@@ -74,10 +78,15 @@ class Intrinsics:
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise ValueError(f"Intrinsics: the image needs at least one pixel, got {self.width} x {self.height}")
-        if not (np.isfinite([self.fx, self.fy]).all() and self.fx > 0 and self.fy > 0):
-            raise ValueError(f"Intrinsics: focal lengths must be positive and finite, got fx={self.fx}, fy={self.fy}")
-        if not np.isfinite([self.cx, self.cy]).all():
-            raise ValueError(f"Intrinsics: the principal point must be finite, got cx={self.cx}, cy={self.cy}")
+        if not all(SHORTEST_FOCAL_PX <= focal <= FARTHEST_PX for focal in (self.fx, self.fy)):
+            raise ValueError(
+                f"Intrinsics: focal lengths must be positive, {SHORTEST_FOCAL_PX:g} to {FARTHEST_PX:g} pixels, got "
+                f"fx={self.fx}, fy={self.fy}"
+            )
+        if not all(abs(place) <= FARTHEST_PX for place in (self.cx, self.cy)):
+            raise ValueError(
+                f"Intrinsics: the principal point must be within {FARTHEST_PX:g} pixels, got cx={self.cx}, cy={self.cy}"
+            )
 
 
 @dataclass(frozen=True, eq=False)

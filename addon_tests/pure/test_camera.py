@@ -16,6 +16,8 @@ from xihenet.camera import (
     unproject_frame,
 )
 from xihenet.colour import srgb_to_linear
+from xihenet.mirror_sphere import mirror_sphere_cloud
+from xihenet.phone.holes import SurfaceFacts, facing_cosines
 from xihenet.records import Intrinsics
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
@@ -50,12 +52,14 @@ def test_camera_looks_down_minus_z_with_row_zero_on_top():
     np.testing.assert_allclose(points[1, 2], [2, 0, -2])
 
 
-@pytest.mark.parametrize(
-    ("fx", "fy", "cx"), [(5e-324, 1, 2), (1e-300, 1, 2), (1, 1e-42, 2), (1, 1, -1e300), (1e300, 1e300, 2), (1, 1, 1e30)]
-)
-def test_rays_that_no_float_can_hold_give_points_that_are_left_out_and_counted(fx, fy, cx):
-    depth = np.where(np.eye(4) > 0, 0.0, 2.0)
-    cloud = unproject_frame(frame_of(depth, Intrinsics(4, 4, fx, fy, cx, 2.0)))
+@pytest.mark.parametrize(("fx", "fy", "cx"), [(1e-6, 1, 2), (1, 1e-6, 1e9), (1, 1, -1e9), (1e9, 1e9, 2)])
+def test_the_most_extreme_lenses_give_points_that_are_seen_or_left_out_and_counted(fx, fy, cx):
+    """A warning, as of an overflow, fails it."""
+    depth = np.where(np.eye(4) > 0, 0.0, 9e8)
+    frame = frame_of(depth, Intrinsics(4, 4, fx, fy, cx, 2.0))
+    cloud = unproject_frame(frame)
+    assert (facing_cosines(frame, SurfaceFacts()) >= 0).all()
+    assert not mirror_sphere_cloud(frame, np.array([0.0, 0.0, 5.0]), 1.0, AnchorLattice(12)).is_set.any()
     sampled = sample_unit_sphere(cloud, [0.0, 0.1, -1.0], AnchorLattice(64))
     n_finite = np.isfinite(cloud.points_m).all(axis=1).sum()
     assert n_finite + sampled.n_invalid_points == 16

@@ -53,7 +53,12 @@ def test_a_frame_that_makes_no_sense_is_refused(changes, message):
 
 
 @pytest.mark.parametrize(
-    "wrong", [(0, 3, 1, 1, 0, 0), (4, 3, 0, 1, 0, 0), (4, 3, 1, np.inf, 0, 0), (4, 3, 1, 1, np.nan, 0)]
+    "wrong",
+    [
+        *((0, 3, 1, 1, 0, 0), (4, 3, 0, 1, 0, 0), (4, 3, 1, np.inf, 0, 0), (4, 3, 1, 1, np.nan, 0)),
+        *((4, 3, 5e-324, 1, 2, 0), (4, 3, 1, 1e-42, 2, 0), (4, 3, 1e300, 1e300, 2, 0), (4, 3, np.nan, 1, 0, 0)),
+        *((4, 3, 1, 1, -1e300, 0), (4, 3, 1, 1, 0, 1e30)),
+    ],
 )
 def test_intrinsics_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ValueError, match="Intrinsics"):
