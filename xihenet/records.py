@@ -41,7 +41,12 @@ def _keep(record: object, dtype: Any, **shapes: tuple[int | None, ...]) -> None:
     """Check arrays of a record while it is made, and keep read-only views as `dtype`; None in a shape is any length."""
     for name, shape in shapes.items():
         array = getattr(record, name)
-        if not (isinstance(array, np.ndarray) and array.dtype == dtype):
+        if not (type(array) is np.ndarray and array.dtype == dtype):  # Else matrices and masks reach every stage.
+            if isinstance(array, np.ma.MaskedArray) and array.mask.any():
+                raise ValueError(
+                    f"{type(record).__name__}.{name}: expected an array without masked values: fill them, with NaN or "
+                    "0 where nothing is known"
+                )
             with np.errstate(over="ignore"):  # What float32 cannot hold becomes infinite, which each record judges.
                 array = np.asarray(array, dtype=dtype)
         if array.ndim != len(shape) or any(
@@ -201,11 +206,12 @@ class PixelGrid:
         _keep(self, np.float64, camera_m=(3,))
 
 
-def _needs_float64(points_m: ArrayF32 | ArrayF64) -> bool:
+def _needs_float64(points_m: ArrayLike) -> bool:
     """Whether float32 would round points by millimetres. NaN and infinite coordinates say nothing."""
-    if not (isinstance(points_m, np.ndarray) and points_m.dtype == np.float64):
+    points = np.asarray(points_m)
+    if points.dtype.kind not in "if" or points.dtype.itemsize <= np.dtype(np.float32).itemsize:
         return False
-    return bool(np.any((np.abs(points_m) > FLOAT32_TO_M) & np.isfinite(points_m)))
+    return bool(np.any((np.abs(points) > FLOAT32_TO_M) & np.isfinite(points)))
 
 
 @dataclass(frozen=True, eq=False)

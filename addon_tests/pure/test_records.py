@@ -25,6 +25,17 @@ def test_arrays_become_read_only_views_and_the_callers_stay_writable():
     assert not record.plane_depth_m.flags.writeable and depths.flags.writeable
 
 
+def test_arrays_of_other_kinds_become_plain_ones():
+    as_they_were = np.array([[448_262.3, 5_411_932.7, 120.4], [448_262.4, 5_411_932.8, 120.5]])
+    for points_m in (as_they_were.astype(">f8"), as_they_were.tolist(), np.asfortranarray(as_they_were)):
+        np.testing.assert_array_equal(PointCloud(points_m, np.zeros((2, 3))).points_m, as_they_were)
+    depths = np.ma.array(np.ones((3, 4), np.float32))
+    assert type(frame(plane_depth_m=depths).plane_depth_m) is np.ndarray
+    depths[0, 0] = np.ma.masked
+    with pytest.raises(ValueError, match="plane_depth_m: expected an array without masked values: fill them"):
+        frame(plane_depth_m=depths)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
