@@ -161,6 +161,16 @@ def test_a_position_that_is_no_point_is_refused(wrong):
         session().add_position("Vase", wrong)
 
 
+def test_a_position_stays_where_it_is_while_its_callers_array_changes():
+    controller, place_m = session(), np.array([0, 1.5, 0])
+    controller.move_position("Vase", place_m)
+    controller.step(looking(0.0))
+    place_m[0] = 0.2
+    assert controller.positions["Vase"].tolist() == [0, 1.5, 0]
+    controller.move_position("Vase", place_m)
+    assert controller.step(looking(0.0, frame=1))["Vase"].decision.reason == "moved"
+
+
 def test_no_position_means_no_work():
     controller = XiheController(LocalBackend(estimators.load("projection", N)))
     assert controller.step(looking(0.0)) == {}
