@@ -1,5 +1,7 @@
 """Facts read from frames of known rooms, and that what they leave out takes no pixel away."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -67,6 +69,12 @@ def test_one_frame_knows_no_motion_and_an_empty_one_no_distance():
     assert facts.nearest_m is None and facts.farthest_m is None and facts.clearance_m is None
     with pytest.raises(ValueError, match="at least one frame"):
         facts_from_frames([], [])
+
+
+def test_a_camera_beyond_all_numbers_knows_no_clearance_and_one_of_any_exposure_its_brightness():
+    dark, bright = (replace(frame_of(2.0), exposure=exposure) for exposure in (1e-50, 1e50))
+    assert facts_from_frames([dark, bright], []).brightness_change_stops == pytest.approx(np.log2(1e100))
+    assert facts_from_frames([frame_of(2.0, x=1e39)], [[0, 0, 0]]).clearance_m is None
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, 1e10])

@@ -75,7 +75,7 @@ def test_surfaces_that_face_the_camera_have_a_cosine_of_1_at_most():
 
 def test_normals_that_are_no_direction_count_as_facing():
     normals = np.zeros((30, 40, 3))
-    normals[0, 0] = np.nan
+    normals[0, :4, 1] = [np.nan, np.inf, -np.inf, 0]
     assert (facing_cosines(frame_of(np.ones((30, 40)), CAMERA), SurfaceFacts(normals=normals)) == 1).all()
 
 

@@ -78,14 +78,14 @@ def facts_of_frame(frame: RgbdFrame, positions_m: ArrayLike) -> FrameFacts:
     valid = valid_plane_depth(frame.plane_depth_m)
     seen = frame.plane_depth_m[valid]
     facing = facing_cosines(frame, SurfaceFacts())[valid]
-    radiance = LINEAR_OF_CODE.astype(np.float32)[frame.srgb_u8] / frame.exposure
+    radiance = (LINEAR_OF_CODE / frame.exposure)[frame.srgb_u8]
     return FrameFacts(
         time_s=frame.time_s,
         focal_px=max(frame.intrinsics.fx, frame.intrinsics.fy),
         world_from_camera=frame.world_from_camera,
         nearest_m=float(seen.min()) if seen.size else None,
         farthest_m=float(seen.max()) if seen.size else None,
-        clearance_m=_clearance_m(frame, positions) if seen.size and len(positions) else None,
+        clearance_m=_clearance_m(frame, positions),
         widest_step_m=float(window_span_m(frame.plane_depth_m, 1).max()),
         steepest_deg=float(np.degrees(np.arccos(facing.min()))) if seen.size else 0.0,
         darkest_grey=float(frame.srgb_u8.mean(axis=2)[valid].min()) / 255 if seen.size else 1.0,
@@ -93,7 +93,9 @@ def facts_of_frame(frame: RgbdFrame, positions_m: ArrayLike) -> FrameFacts:
     )
 
 
-def _clearance_m(frame: RgbdFrame, positions_m: ArrayF64) -> float:
-    """From any position to the nearest point that the frame saw."""
+def _clearance_m(frame: RgbdFrame, positions_m: ArrayF64) -> float | None:
+    """From any position to the nearest point that the frame saw; None without either."""
     points = unproject_frame(frame).points_m.astype(np.float64)
-    return min(float(np.nanmin(np.linalg.norm(points - position, axis=1))) for position in positions_m)
+    points = points[np.isfinite(points).all(axis=1)]
+    nearest = (np.linalg.norm(points - position, axis=1).min() for position in positions_m if len(points))
+    return min(map(float, nearest), default=None)

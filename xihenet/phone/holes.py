@@ -172,13 +172,13 @@ def facing_cosines(frame: RgbdFrame, facts: SurfaceFacts) -> ArrayF64:
     """
     rays = pixel_rays(frame.intrinsics)
     if facts.normals is not None:
-        in_camera = np.asarray(facts.normals, np.float64) @ frame.world_from_camera[:3, :3]
+        is_finite = np.isfinite(facts.normals).all(axis=2, keepdims=True)
+        in_camera = np.where(is_finite, facts.normals, 0).astype(np.float64) @ frame.world_from_camera[:3, :3]
     else:
         in_camera = _normals_in_camera(frame.plane_depth_m, rays)
     lengths = np.linalg.norm(in_camera, axis=2) * np.linalg.norm(rays, axis=2)
-    known = np.isfinite(lengths) & (lengths > 0)
     dots = np.abs(np.einsum("hwc,hwc->hw", in_camera, rays))
-    cosines = np.divide(dots, lengths, out=np.ones(lengths.shape), where=known)
+    cosines = np.divide(dots, lengths, out=np.ones(lengths.shape), where=lengths > 0)
     return np.minimum(cosines, 1.0, out=cosines)  # Rounding may leave it above.
 
 
