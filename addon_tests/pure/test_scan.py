@@ -134,6 +134,9 @@ def test_large_frames_are_thinned_to_the_same_surfaces():
 
 def test_a_recording_far_from_its_origin_has_the_same_surfaces():
     frame = seen(K, looking(0, 0, (0.3, 0, 0)))
+    lost = frame.world_from_camera.copy()
+    lost[:3, 3] = 1e20
+    assert not len(mesh_of([replace(frame, world_from_camera=lost)]).points_m), "as of tracking that was lost"
     away_m, there = np.array([30_000, -40_000, 80]), frame.world_from_camera.copy()  # Whole blocks
     there[:3, 3] += away_m
     near, far = mesh_of([frame]), mesh_of([replace(frame, world_from_camera=there)], origin_m=away_m)

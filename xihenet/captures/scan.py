@@ -150,9 +150,9 @@ class Scan:
         reach_m, side_m = self.settings.voxel_m * self.settings.reach_voxels, self.settings.voxel_m * SIDE
         keys: set[int] = set()
         for along_m in (-reach_m, 0.0, reach_m):
-            blocks = np.floor((points_m + along_m * rays) / side_m - OFFSET / SIDE).astype(np.int64) - self._origin
+            blocks = np.floor((points_m + along_m * rays) / side_m - OFFSET / SIDE) - self._origin
             is_inside = (np.abs(blocks) < _ZERO // SIDE).all(axis=1)
-            keys |= set(np.unique(_keys(blocks[is_inside])).tolist())
+            keys |= set(np.unique(_keys(blocks[is_inside].astype(np.int64))).tolist())
         new = sorted(keys - self._slots.keys())
         self.is_cut |= len(self._slots) + len(new) > MOST_BLOCKS
         new = new[: MOST_BLOCKS - len(self._slots)]
