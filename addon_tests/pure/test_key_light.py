@@ -281,7 +281,7 @@ def test_times_its_certainty_a_key_light_with_noise_is_nearest_to_itself(expecte
     assert min(errors, key=errors.get) == 1 and 0 < certainty < 1
     assert certainty_of(key, None) == certainty_of(key, 0.0) == 1
     dark = KeyLight(key.direction, np.zeros(3), 0.1, True)
-    assert certainty_of(dark, 0.1) == 0
+    assert certainty_of(dark, 0.1) == certainty_of(dark, 0.0) == certainty_of(key, 1e300) == 0
     of_both = mean_light([ObjectLight(np.eye(9, 3), key), ObjectLight(np.eye(9, 3), key)]).key
     assert of_both.certainty == 1
     for certainty, share in ((0.0, 0.0), (0.1, 0.25), (0.4, 1.0), (1.0, 1.0)):

@@ -165,8 +165,9 @@ def certainty_of(key: KeyLight, expected_error: float | None) -> float:
     """
     if expected_error is None:
         return 1.0
-    square = float(np.square(sh_of_key_light(key)[1:]).mean())
-    return square / (square + expected_error**2) if square else 0.0
+    size = math.sqrt(np.square(sh_of_key_light(key)[1:]).mean())
+    error_of_size = expected_error / size if size else math.inf
+    return 1 / (1 + error_of_size * error_of_size)
 
 
 def sure_share(key: KeyLight) -> float:
