@@ -130,6 +130,12 @@ def test_an_exr_that_says_in_which_space_its_colour_is_becomes_rec709(tmp_path, 
     assert frame.srgb_u8[0, 0].tolist() == encode_exposed(np.float32([[(1.0, 0.25, 0.05)]]), 1)[0, 0].tolist()
 
 
+@pytest.mark.parametrize("space", ["lin_rec2020_scene", "lin_ap1_scene"])
+def test_an_infinite_colour_is_white_in_every_space(tmp_path, camera, space):
+    frame = read_frame(write_in(space, (np.inf, np.inf, np.inf), tmp_path / "frame.exr"), camera, exposure=1)
+    assert (frame.srgb_u8 == 255).all() and frame.invalid == {"infinite_colour": PLANE_DEPTH_M.size}
+
+
 def test_an_exr_in_a_space_that_is_not_known_is_refused(tmp_path, camera):
     path = write_in("lin_ap0_scene", (1.0, 0.25, 0.05), tmp_path / "frame.exr")
     with pytest.raises(ValueError, match="its colours are 'lin_ap0_scene': save it in linear"):
@@ -221,6 +227,8 @@ def test_the_scale_of_the_plane_depth_is_metres_per_unit(tmp_path, camera):
     colour = encode_exposed(RADIANCE, 1)
     in_metres = image_frame(tmp_path, camera, colour, np.full((HEIGHT, WIDTH), 2, np.uint16), depth_scale=1.0)
     assert (in_metres.plane_depth_m == 2).all()
+    with pytest.raises(ValueError, match="no pixel has a valid plane depth"):
+        image_frame(tmp_path, camera, colour, np.full((HEIGHT, WIDTH), 2, np.uint16), depth_scale=1e300)
 
 
 def test_plane_depth_of_16_bits_keeps_its_largest_value_and_its_holes(tmp_path, camera):

@@ -8,6 +8,7 @@ import pytest
 from addon_tests.pure.frame_makers import NEEDS_OPENEXR
 from addon_tests.pure.made import random_rotation
 from xihenet.colour import srgb_to_linear
+from xihenet.io.exr import read_stored_exr, write_exr
 from xihenet.io.recording import ReplayScanner, SessionRecorder, load_frame, save_frame
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -85,6 +86,16 @@ def test_a_file_that_is_no_frame_is_named(tmp_path, content):
     (tmp_path / "frame_000000.exr").write_bytes(content)
     with pytest.raises(ValueError, match=r"frame_000000\.exr: not a recorded frame"):
         ReplayScanner(tmp_path).acquire_environment_scan()
+
+
+@pytest.mark.parametrize("level", [np.nan, -1, 1000])
+def test_a_confidence_that_is_none_is_refused(tmp_path, level):
+    path = tmp_path / "frame_000000.exr"
+    save_frame(path, random_frame(0, [0.1, 0.2, 0.3]))
+    said, channels = read_stored_exr(path)
+    write_exr(path, channels | {"confidence": np.full((6, 8), level, np.float16)}, attributes=said)
+    with pytest.raises(ValueError, match=r"not a recorded frame \(confidence: expected 0, 1 or 2"):
+        load_frame(path)
 
 
 def test_a_frame_that_is_cut_short_is_named_once_with_what_to_do(tmp_path):

@@ -306,7 +306,9 @@ def _in_rec709(radiance: ArrayF32, space: str, path: Path) -> ArrayF32:
         return radiance
     if space not in REC709_FROM:
         raise ValueError(f"{path}: its colours are {space!r}: save it in linear Rec.709, Rec.2020 or ACEScg")
-    return radiance @ REC709_FROM[space].T.astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # An infinite colour has no other one, and stays as it is.
+        converted = radiance @ REC709_FROM[space].T.astype(np.float32)
+    return np.where(np.isinf(radiance).any(axis=2, keepdims=True), radiance, converted)
 
 
 def _frame_channels(channels: Mapping[str, object], path: Path) -> tuple[list[str], str]:

@@ -49,7 +49,8 @@ def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[in
     units = np.concatenate(picked)
     if image.mode != "I" or image.format == "PNG":  # Older versions of Pillow read 16 bits into 32.
         units[units == NONE_IN_16_BITS] = 0
-    return (units * depth_scale).astype(np.float32), image.size
+    with np.errstate(over="ignore"):  # What is beyond any number is infinite, and no distance.
+        return (units * depth_scale).astype(np.float32), image.size
 
 
 def read_colour(

@@ -85,7 +85,7 @@ def load_frame(path: Path) -> RgbdFrame:
         said, channels = read_stored_exr(path)
         header = _header(said, channels["Z"].shape)
         srgb_u8 = np.stack([_bytes_of_light(channels[name]) for name in "RGB"], axis=-1)
-        confidence = channels["confidence"].astype(np.uint8) if "confidence" in channels else None
+        confidence = _confidence_of(channels["confidence"]) if "confidence" in channels else None
         plane_depth_m = channels["Z"].astype(np.float32, copy=False)
         return RgbdFrame(srgb_u8, plane_depth_m, confidence=confidence, **vars(header))
     except (LookupError, ValueError, OverflowError) as error:
@@ -174,6 +174,13 @@ def _bytes_of_light(light: NDArray[Any]) -> ArrayU8:
     if (bits & 0x7FFF).max() > INFINITE_HALF:
         raise ValueError("a colour is NaN")
     return np.asarray(_bytes_of_halves().take(bits))
+
+
+def _confidence_of(stored: NDArray[Any]) -> ArrayU8:
+    """(H, W) uint8. ValueError for what no byte holds."""
+    if not ((stored >= 0) & (stored <= 255)).all():
+        raise ValueError("confidence: expected 0, 1 or 2, got a negative or larger number, or NaN")
+    return stored.astype(np.uint8)
 
 
 @dataclass(frozen=True)
