@@ -167,6 +167,8 @@ def test_a_position_stays_where_it_is_while_its_callers_array_changes():
     controller.step(looking(0.0))
     place_m[0] = 0.2
     assert controller.positions["Vase"].tolist() == [0, 1.5, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        controller.positions["Vase"][0] = 0.2
     controller.move_position("Vase", place_m)
     assert controller.step(looking(0.0, frame=1))["Vase"].decision.reason == "moved"
 
