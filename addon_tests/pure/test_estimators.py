@@ -187,7 +187,9 @@ def test_truth_without_its_probe_is_refused():
 
 def test_truth_hands_on_the_probe_and_a_result_that_is_not_finite_never_leaves_an_estimator():
     probe = EstimateContext(truth_sh=constant(RADIANCE))
-    np.testing.assert_array_equal(estimators.load("truth", N).estimate(constant_cloud(True), probe), probe.truth_sh)
+    handed_on = estimators.load("truth", N).estimate(constant_cloud(True), probe)
+    np.testing.assert_array_equal(handed_on, probe.truth_sh)
+    assert not np.shares_memory(handed_on, probe.truth_sh), "whoever changes a light changes no truth"
     context = EstimateContext(truth_sh=np.full((9, 3), np.nan))
     with pytest.raises(ValueError, match="not nine finite triples"):
         estimators.load("truth", N).estimate(constant_cloud(True), context)

@@ -21,4 +21,4 @@ class Truth(Estimator):
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
         if context.truth_sh is None:
             raise ValueError("truth: needs the rendered light probe; give EstimateContext(truth_sh=...)")
-        return np.asarray(context.truth_sh, np.float64)
+        return np.array(context.truth_sh, np.float64)
