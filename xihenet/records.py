@@ -236,6 +236,8 @@ class PointCloud:
         n = len(self.points_m)
         if self.grid is not None and n != self.grid.height * self.grid.width:
             raise ValueError(f"PointCloud.grid: expected {n} pixels, got {self.grid.width} x {self.grid.height}")
+        if np.asarray(self.srgb).dtype == np.uint8:
+            raise ValueError("PointCloud.srgb: expected colours in [0, 1], got uint8: divide them by 255")
         _keep(self, np.float32, srgb=(n, 3))
 
     @functools.cached_property

@@ -107,3 +107,5 @@ def test_points_may_be_nan_but_need_a_colour_each():
     PointCloud([[np.nan, 0, 0]], [[0, 0, 0]])
     with pytest.raises(ValueError, match=r"PointCloud\.srgb"):
         PointCloud([[np.nan, 0, 0]], np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="divide them by 255"):
+        PointCloud([[np.nan, 0, 0]], np.zeros((1, 3), np.uint8))
