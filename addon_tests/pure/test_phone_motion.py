@@ -157,6 +157,8 @@ def test_drift_is_one_walk_whatever_is_asked_first():
     assert forwards == backwards[::-1]
     near, nearer = (np.linalg.norm(drift_at(1 + d, DRIFT, [3, 2])[0] - forwards[4]) for d in (1e-3, 1e-4))
     assert nearer < near < 1e-3
+    with pytest.raises(ValueError, match="since the start of the session, got 1"):
+        drift_at(1.7e9, DRIFT, [3, 2])
 
 
 def test_drift_keeps_pitch_and_roll_and_the_picture():

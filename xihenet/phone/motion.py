@@ -24,6 +24,7 @@ from xihenet.phone.settings import Required, Section, SessionFacts, known, numbe
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, RgbdFrame
 
 DRIFT_STEP_S = 0.05  # grid of the random walk; between its nodes the drift is a straight line
+LONGEST_WALK_S = 1e6  # Twelve days, of 20 million steps; times since 1970 would take a terabyte
 N_FIXED_POINT_STEPS = 3
 
 SMALL_SHIFT_PX = 0.5  # rows that are off by less than this show the same pixels
@@ -132,9 +133,14 @@ def read_rows(
 
 
 def drift_at(time_s: float, settings: PoseDrift, seed: int | Sequence[int]) -> tuple[ArrayF64, float]:
-    """Position error (3,) in metres and yaw error in radians, by seed and time alone; none at and before the start."""
+    """Position error (3,) in metres and yaw error in radians, by seed and time alone; none at and before the start.
+
+    ValueError from LONGEST_WALK_S on.
+    """
     if not time_s > 0:
         return np.zeros(3), 0.0
+    if time_s >= LONGEST_WALK_S:
+        raise ValueError(f"drift_at: expected seconds since the start of the session, got {time_s:g}: count from there")
     place = time_s / DRIFT_STEP_S
     n_steps = int(place) + 1
     steps = np.random.default_rng(seed).normal(size=(n_steps, 4))
