@@ -1,5 +1,7 @@
 """Scale and floor of a recording, set by hand: the room is as large as said, and its floor at 0."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,8 +38,21 @@ def test_nothing_by_hand_is_the_recording_itself(folder):
     assert set_by_hand(capture) is capture
 
 
-@pytest.mark.parametrize(("typed", "said"), [("--scale=0", "positive factor"), ("--scale=nan", "positive factor"),
-                                             ("--floor=inf", "a height in metres")])  # fmt: skip
+def test_what_has_no_distance_has_none_in_another_scale(folder):
+    capture = open_capture(folder)
+    missed = np.tile(np.float32([0, np.nan, np.inf, 1e10]), (48, 16))
+    frames = [frame.changed(lambda read: replace(read, plane_depth_m=missed)) for frame in capture.frames]
+    placed = set_by_hand(replace(capture, frames=frames), scale=1e-3)
+    np.testing.assert_array_equal(placed.frames[0].read().plane_depth_m, missed)
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        *((f"--scale={scale}", "positive factor from 1e-6 to 1e6") for scale in ("0", "nan", "1e300")),
+        ("--floor=inf", "a height in metres"),
+    ],
+)
 def test_what_is_no_scale_and_no_floor_is_one_line(folder, tmp_path, typed, said):
     assert_refused(xihe_here("replay", folder, "--at", "0,0,0", "--out", tmp_path / "out", typed), said)
     assert not (tmp_path / "out").exists()

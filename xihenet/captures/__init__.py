@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from xihenet.camera import valid_plane_depth
 from xihenet.captures.capture import Capture, CapturedFrame, names_in
 from xihenet.captures.reading import READERS
 from xihenet.captures.reading.record3d import SUFFIX
@@ -45,10 +46,10 @@ def set_by_hand(capture: Capture, *, scale: float = 1.0, floor_m: float = 0.0) -
     """A recording whose scale or floor is known better than it knows itself.
 
     Lengths are `scale` times as long, and then `floor_m` lower, so that the floor is at height 0. Poses and depth are
-    scaled alike. ValueError for a scale that is not positive, or a floor that is not finite.
+    scaled alike. ValueError for a scale that is not positive, from 1e-6 to 1e6, or a floor that is not finite.
     """
-    if not 0 < scale < np.inf:
-        raise ValueError(f"the scale of a recording is a positive factor: {scale:g} is none")
+    if not 1e-6 <= scale <= 1e6:
+        raise ValueError(f"the scale of a recording is a positive factor from 1e-6 to 1e6: {scale:g} is none")
     if not np.isfinite(floor_m):
         raise ValueError(f"the floor of a recording is a height in metres: {floor_m:g} is none")
     if (scale, floor_m) == (1.0, 0.0):
@@ -61,7 +62,9 @@ def _placed(frame: CapturedFrame, scale: float, floor_m: float) -> CapturedFrame
     pose[:3, 3] = scale * pose[:3, 3] - (0, 0, floor_m)
 
     def placed(read: RgbdFrame) -> RgbdFrame:
-        return replace(read, world_from_camera=pose, plane_depth_m=read.plane_depth_m * np.float32(scale))
+        depth_m = read.plane_depth_m
+        scaled_m = np.multiply(depth_m, np.float32(scale), out=depth_m.copy(), where=valid_plane_depth(depth_m))
+        return replace(read, world_from_camera=pose, plane_depth_m=scaled_m)
 
     return frame.changed(placed, replace(frame.camera, world_from_camera=pose))
 
