@@ -1,5 +1,7 @@
 """An SH world lights surfaces as the mathematics says, on the timeline as well, and what a live session places."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -193,6 +195,8 @@ def test_see_through_objects_before_each_other_do_not_take_more_than_all_of_the_
     room = RgbdFrame(np.zeros((8, 8, 3), np.uint8), np.full((8, 8), 100.0), camera, np.eye(4))
     picture, weights = composite(np.full((8, 8, 3), 5.0), layers, room)
     assert picture.min() >= 0 and weights[4, 4] > 0.9
+    missed = replace(room, plane_depth_m=np.full((8, 8), np.finfo(np.float32).max))
+    np.testing.assert_array_equal(composite(np.zeros((8, 8, 3)), layers, missed)[1], weights)
 
 
 def test_removing_takes_worlds_node_group_and_markers_and_leaves_the_users():

@@ -452,9 +452,9 @@ def in_front_of_room(object_plane_depth_m: ArrayF32, room_plane_depth_m: ArrayF3
     around = np.pad(object_plane_depth_m, 1, constant_values=np.inf)
     nearest_m = np.lib.stride_tricks.sliding_window_view(around, (3, 3)).min(axis=(2, 3))
     object_m = np.where(object_plane_depth_m >= MISS_PLANE_DEPTH_M, nearest_m, object_plane_depth_m)
-    reach = room_plane_depth_m * (1 + tolerance) + tolerance
-    unknown = ~valid_plane_depth(room_plane_depth_m) | (object_m >= MISS_PLANE_DEPTH_M)
-    return unknown | (object_m <= reach)
+    is_known = valid_plane_depth(room_plane_depth_m)
+    reach = np.where(is_known, room_plane_depth_m, 0) * (1 + tolerance) + tolerance
+    return ~is_known | (object_m >= MISS_PLANE_DEPTH_M) | (object_m <= reach)
 
 
 def measure(prediction: ArrayF64, ground_truth: ArrayF64, weights: ArrayF64, ring: ArrayBool) -> Metrics:
