@@ -108,6 +108,11 @@ def test_the_home_folder_is_known_where_no_shell_puts_it_in(exr, tmp_path, monke
     assert [path.name for path in (tmp_path / "here").iterdir()] == ["~nobody_of_that_name"]
 
 
+def test_no_number_of_a_light_is_minus_0(exr, capfd):
+    assert estimate(*exr, "--at", AT, "--exposure", "1e20", "--estimator", "projection") == 0
+    assert " 0.0000" in (said := capfd.readouterr().out) and "-0.0000" not in said
+
+
 def test_an_empty_path_is_refused_and_not_taken_for_the_current_folder(exr, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(xihe_here("estimate", *exr, "--at", AT, "--out", ""), "--out", "give a file or folder")

@@ -204,7 +204,7 @@ def _position_table(one: PlacedEstimate) -> str:
     rows.append(" l  m      red    green     blue")
     bands = [(band, m) for band in range(3) for m in range(-band, band + 1)]
     for (band, m), (red, green, blue) in zip(bands, light.sh_radiance, strict=True):
-        rows.append(f"{band:2d} {m:2d} {red:8.4f} {green:8.4f} {blue:8.4f}")
+        rows.append(f"{band:2d} {m:2d} {red:z8.4f} {green:z8.4f} {blue:z8.4f}")
     return "\n".join(rows)
 
 
