@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from xihe_blender.lab.rooms.draws import Rng, draw_point, piece_seed, span
-from xihe_blender.lab.rooms.outline import Outline, Point
+from xihe_blender.lab.rooms.draws import Rng, draw_point, one_of, piece_seed, span
+from xihe_blender.lab.rooms.outline import Outline, Point, Rect
 from xihe_blender.lab.rooms.room_data import Finish, Hole, Piece, Shell, Size
 
 TRIES = 20
@@ -39,19 +40,26 @@ class Floor(Shell):
             return False
         if piece.size[2] < FLAT_M:
             return True
-        return not (blocks_hole(piece, self.outline, self.holes) or any(collide(piece, p, gap_m) for p in self.pieces))
+        return not (_blocks(piece, self._kept_free) or any(collide(piece, p, gap_m) for p in self.pieces))
+
+    @cached_property
+    def _kept_free(self) -> list[tuple[Rect, Hole]]:
+        return zones(self.outline, self.holes)
 
     def against_wall(
         self, rng: Rng, kind: str, size: Size, finishes: tuple[Finish, ...], *, z: float = 0.0, tries: int = TRIES
     ) -> Piece | None:
         """A piece with its back to a wall, anywhere along it."""
+        # As `rng.choice` with a share for each wall draws it, which works all of this out anew for each try.
         lengths = np.array([wall.length for wall in self.outline.walls])
+        up_to = np.cumsum(lengths / lengths.sum())
+        up_to /= up_to[-1]
         for _ in range(tries):
-            wall = self.outline.walls[int(rng.choice(len(lengths), p=lengths / lengths.sum()))]
+            wall = self.outline.walls[int(up_to.searchsorted(rng.random(), side="right"))]
             room = wall.length - size[0] - 0.06
             if room < 0:
                 continue
-            draw = float(rng.choice([0.0, 0.5, 1.0])) if rng.random() < 0.35 else float(rng.random())
+            draw = one_of(rng, (0.0, 0.5, 1.0)) if rng.random() < 0.35 else float(rng.random())
             x, y = wall.point(0.03 + size[0] / 2 + draw * room, size[1] / 2 + WALL_GAP_M)
             if piece := self.add(Piece(kind, x, y, z, wall.turn_deg, size, finishes, piece_seed(rng))):
                 return piece
@@ -112,9 +120,18 @@ def collide(one: Piece, other: Piece, gap_m: float = 0.0) -> bool:
 
 def blocks_hole(piece: Piece, outline: Outline, holes: tuple[Hole, ...]) -> bool:
     """Whether a piece stands where a door opens, or before a window that begins below its top."""
-    for hole in holes:
-        reach = DOOR_REACH_M if hole.is_door else 0.3
-        zone = outline.walls[hole.wall].rect((hole.low - 0.08, hole.high + 0.08), (0.0, reach))
-        if piece.footprint.overlaps(zone) and piece.top_m > hole.bottom - 0.02 and piece.z < hole.top:
-            return True
-    return False
+    return _blocks(piece, zones(outline, holes))
+
+
+def zones(outline: Outline, holes: tuple[Hole, ...]) -> list[tuple[Rect, Hole]]:
+    """What of the floor each hole needs."""
+    reach_m = {True: DOOR_REACH_M, False: 0.3}
+    rects = (outline.walls[h.wall].rect((h.low - 0.08, h.high + 0.08), (0.0, reach_m[h.is_door])) for h in holes)
+    return list(zip(rects, holes, strict=True))
+
+
+def _blocks(piece: Piece, kept_free: list[tuple[Rect, Hole]]) -> bool:
+    return any(
+        piece.footprint.overlaps(zone) and piece.top_m > hole.bottom - 0.02 and piece.z < hole.top
+        for zone, hole in kept_free
+    )

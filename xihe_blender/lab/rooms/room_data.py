@@ -73,7 +73,7 @@ class Piece:
         w, d, _ = self.size
         return Rect.around((self.x, self.y), (w * c + d * s, w * s + d * c))
 
-    @property
+    @cached_property
     def top_m(self) -> float:
         return self.z + self.size[2]
 
