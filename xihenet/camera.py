@@ -192,14 +192,17 @@ def project_points(
     if pose.shape != (4, 4):
         raise ValueError(f"project_points: expected world_from_camera of shape (4, 4), got {pose.shape}")
     inverse = _inverse_3x3(pose[:3, :3])
+    pixels = np.empty((len(points), 2))
     # Points that are not finite, or so far that float64 overflows, have no pixel: NaN or infinite says so.
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         in_camera = (points - pose[:3, 3]) @ inverse.T
         plane_depth_m = -in_camera[:, 2]
-        per_metre = np.divide(1.0, plane_depth_m, out=np.full_like(plane_depth_m, np.nan), where=plane_depth_m != 0)
-        x = intrinsics.cx + intrinsics.fx * in_camera[:, 0] * per_metre
-        y = intrinsics.cy - intrinsics.fy * in_camera[:, 1] * per_metre
-    return np.stack([x, y], axis=1), plane_depth_m
+        # Not `np.divide` with `where`, which takes several times as long.
+        per_metre = 1.0 / plane_depth_m
+        per_metre[plane_depth_m == 0] = np.nan
+        pixels[:, 0] = intrinsics.cx + intrinsics.fx * in_camera[:, 0] * per_metre
+        pixels[:, 1] = intrinsics.cy - intrinsics.fy * in_camera[:, 1] * per_metre
+    return pixels, plane_depth_m
 
 
 class PicturePart(NamedTuple):
@@ -274,8 +277,8 @@ def pixels_in_view(
 
 
 def _is_inside(pixels: ArrayF64, plane_depth_m: ArrayF64, intrinsics: Intrinsics) -> ArrayBool:
-    inside = (pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height])
-    return inside.all(axis=1) & (plane_depth_m > 0)
+    x, y = pixels.T
+    return (x >= 0) & (x < intrinsics.width) & (y >= 0) & (y < intrinsics.height) & (plane_depth_m > 0)
 
 
 def behind_m(point_m: ArrayLike, frame: RgbdFrame) -> float:
