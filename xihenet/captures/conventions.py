@@ -100,8 +100,10 @@ def suspect(
         return None
     single = [(poses, AS_READ) for poses in POSES[1:]] + [(AS_READ, depth) for depth in DEPTHS if depth != AS_READ]
     double = [(poses, depth) for poses in POSES[1:] for depth in DEPTHS if depth != AS_READ]
-    for asked in (single, single + double) if as_read.share < AT_MOST_OF_TWO_MISTAKES else (single,):
-        found = _best(recording, asked, as_read)
+    fits: dict[tuple[str, str], Fit] = {}
+    for asked in (single, double) if as_read.share < AT_MOST_OF_TWO_MISTAKES else (single,):
+        fits |= {one: fit for one in asked if (fit := recording.fit(*one)).can_tell}
+        found = _best(recording, fits, as_read)
         if found is not None:
             (poses, depth), share = found
             sentence = _sentence(poses, depth, share, as_read.share, AXES[0 if is_opencv else 1])
@@ -109,13 +111,12 @@ def suspect(
     return None
 
 
-def _best(recording: Recording, asked: list[tuple[str, str]], as_read: Fit) -> tuple[tuple[str, str], float] | None:
+def _best(recording: Recording, fits: dict[tuple[str, str], Fit], as_read: Fit) -> tuple[tuple[str, str], float] | None:
     """Which of these conventions fits better by far than the recording as read, and how well; None if none does."""
-    every = {one: fit for one in asked if (fit := recording.fit(*one)).can_tell}
-    if not every:
+    if not fits:
         return None
-    (poses, depth), best = max(every.items(), key=lambda one: one[1].share)
-    others = [as_read.share, *(fit.share for one, fit in every.items() if one != (poses, depth))]
+    (poses, depth), best = max(fits.items(), key=lambda one: one[1].share)
+    others = [as_read.share, *(fit.share for one, fit in fits.items() if one != (poses, depth))]
     if best.share < SMALLEST_SHARE or best.share < max(others) + LEAD_OVER_NEXT or not _is_far_better(best, as_read):
         return None
     # Poses that make the cameras look at walls that they never saw twice are right by chance in a square room.
