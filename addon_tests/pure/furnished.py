@@ -31,15 +31,21 @@ def cast(intrinsics, pose, boxes):
     """Plane depth (H, W), points (H, W, 3) and the number of the surface (H, W): 6 to a box, the room's come first."""
     rays = pixel_rays(intrinsics) @ pose[:3, :3].T
     rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
+    # By axes first, whose three numbers are compared in whole pictures.
+    along = np.ascontiguousarray(np.moveaxis(rays, -1, 0))
     depth, surface = np.full(rays.shape[:2], np.inf), np.zeros(rays.shape[:2], int)
     for number, box in enumerate([ROOM, *boxes]):
-        reach = (box[:, None, None] - pose[:3, 3]) / rays
-        enters, leaves = np.minimum(*reach), np.maximum(*reach)
+        reach = (box - pose[:3, 3])[..., None, None] / along
         is_room = number == 0
-        far, near = leaves.min(axis=-1), enters.max(axis=-1)
-        met, axis = (far, leaves.argmin(axis=-1)) if is_room else (near, enters.argmax(axis=-1))
-        is_nearer = (met > 0) & (met < depth) & (is_room | (near < far))
-        upper = (np.take_along_axis(rays, axis[..., None], -1)[..., 0] > 0) == is_room
+        by_axis = np.maximum(*reach) if is_room else np.minimum(*reach)
+        axis = by_axis.argmin(axis=0) if is_room else by_axis.argmax(axis=0)
+        met = np.take_along_axis(by_axis, axis[None], 0)[0]
+        is_nearer = (met > 0) & (met < depth)
+        if not is_room:
+            is_nearer &= met < np.maximum(*reach).min(axis=0)
+        if not is_nearer.any():
+            continue
+        upper = (np.take_along_axis(along, axis[None], 0)[0] > 0) == is_room
         depth = np.where(is_nearer, met, depth)
         surface = np.where(is_nearer, 6 * number + 2 * axis + upper, surface)
     return depth, pose[:3, 3] + depth[..., None] * rays, surface
