@@ -67,6 +67,22 @@ CENTRED = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
 OFF_CENTRE = Intrinsics(64, 48, 50.0, 48.5, 30.2, 25.1)
 
 
+SCAN = "xihe_blender.footage.import_capture.Scan"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_faces():
+    """Recordings are scanned three times as coarsely as they are for a user, at a fifth of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SCAN, partial(Scan, settings=ScanSettings(voxel_m=0.06)))
+        yield
+
+
+@pytest.fixture
+def as_fine_as_for_a_user(monkeypatch):
+    monkeypatch.setattr(SCAN, Scan)
+
+
 def recorded(folder, frames):
     recorder = SessionRecorder(folder, SessionFacts(source="a test"))
     for frame in frames:
@@ -88,7 +104,7 @@ def test_blenders_camera_projects_as_the_phones_did(tmp_path, k):
     scene, made, capture = imported(tmp_path, walk(k))
     for number, captured in enumerate(capture.frames, start=1):
         scene.frame_set(number)
-        points = array_of(made.scan.data.vertices, "co", np.float32, 3)[::97].astype(np.float64)
+        points = array_of(made.scan.data.vertices, "co", np.float32, 3)[::11].astype(np.float64)
         expected, depth_m = project_points(points, captured.camera.intrinsics, captured.camera.world_from_camera)[:2]
         in_front = depth_m > 0.1
         views = [world_to_camera_view(scene, made.camera, Vector(point)) for point in points[in_front]]
@@ -114,6 +130,7 @@ def test_a_recording_in_the_coordinates_of_a_map_is_said_to_be_too_far_away(tmp_
     assert ("500 km from the origin" in " ".join(made.said)) is is_far
 
 
+@pytest.mark.usefixtures("as_fine_as_for_a_user")
 def test_a_phone_that_loses_its_way_in_its_first_frame_still_scans_the_room(tmp_path):
     lost, *others = walk(CENTRED, 3)
     there = lost.world_from_camera.copy()
@@ -173,6 +190,7 @@ def test_times_in_other_units_or_of_a_clock_that_was_set_are_refused_before_file
 # --------------------------------------------------------------------------------------------------------------- scan
 
 
+@pytest.mark.usefixtures("as_fine_as_for_a_user")
 def test_the_scan_lies_on_the_walls_faces_the_room_and_has_the_colours_that_were_seen(tmp_path):
     _, made, _ = imported(tmp_path, walk(CENTRED, 12))
     mesh = made.scan.data
@@ -217,6 +235,7 @@ def test_pictures_play_behind_the_camera_with_the_recordings_times(tmp_path):
     np.testing.assert_allclose(pixels * 255, frames[3].srgb_u8, atol=0.01)
 
 
+@pytest.mark.usefixtures("as_fine_as_for_a_user")
 def test_the_recordings_own_images_are_shown_where_it_has_some(tmp_path):
     layout, k = LAYOUTS["Nerfstudio"]
     layout(tmp_path / "scan", walk(k))
@@ -421,9 +440,7 @@ def recorded_run(tmp_path_factory):
     """A run on a recording, with a lens that is off centre: its folder, the recording's, and what was rendered."""
     folder = tmp_path_factory.mktemp("recorded")
     recording = recorded(folder / "walk", lamp_walk(OFF_CENTRE))
-    scene = empty_scene()
-    run_blocking(import_capture(scene, ChosenCapture(recording)))
-    with_a_pillar(scene)
+    scene = scene_of(recording, folder)
     with counted_renders() as renders:
         results = run_blocking(previs(scene, folder / "out", PrevisSettings(preset="draft")))
     SCHEMA.validate(json.loads(json.dumps(results)))
@@ -563,16 +580,13 @@ def test_a_recording_with_a_lens_off_centre_is_composited_where_it_should(record
 
 
 SMALL = Intrinsics(32, 24, 25.0, 25.0, 16.0, 12.0)
-SCAN, FEW_FACES = "xihe_blender.footage.import_capture.Scan", partial(Scan, settings=ScanSettings(voxel_m=0.06))
 
 
 def scene_of(recording, folder):
-    """A new scene with `recording`, scanned with few faces, and a virtual pillar in it."""
+    """A new scene with `recording`, and a virtual pillar in it."""
     scene = empty_scene()
     folder.mkdir(exist_ok=True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SCAN, FEW_FACES)
-        run_blocking(import_capture(scene, ChosenCapture(recording), blend_folder=folder))
+    run_blocking(import_capture(scene, ChosenCapture(recording), blend_folder=folder))
     with_a_pillar(scene)
     return scene
 
@@ -631,9 +645,8 @@ def test_the_operator_imports_and_undo_takes_it_back(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd, monkeypatch):
+def test_the_command_makes_a_file_that_previs_runs_on(tmp_path, capfd):
     recording, blend = recorded(tmp_path / "walk", lamp_walk(SMALL, 4)), tmp_path / "room.blend"
-    monkeypatch.setattr(SCAN, FEW_FACES)
     assert main(["import", str(recording), "--out", str(blend)]) == 0
     assert "Imported 4 frames" in capfd.readouterr().out
     assert_refused(xihe_here("import", recording, "--out", blend), "is there already")
