@@ -97,7 +97,7 @@ def test_range_is_cut_in_a_large_room_and_not_in_a_small_one(as_it_is, tmp_path)
 
 def test_an_effect_that_was_left_out_would_have_changed_nothing(as_it_is, tmp_path):
     by_itself, captured, beside = as_it_is
-    choices = {"range": "on", "transparent_holes": "on"}
+    choices = {"range": "on", "transparent_dropout": "on"}
     forced, again, files = planned(room_with_a_virtual_sphere(), tmp_path, replace(IPAD, effect_choices=choices))
     assert choices.keys() <= forced.on - by_itself.on
     with_all = forced.see(again, files)[0]
@@ -172,9 +172,9 @@ def test_the_light_sensor_is_left_out_where_no_light_changes(tmp_path):
 @pytest.mark.parametrize(
     ("effect", "look"),
     [
-        ("transparent_holes", {"Transmission_Weight": 1.0, "Roughness": 0.0, "Base_Color": (1, 1, 1, 1)}),
-        ("glossy_holes", {"Metallic": 1.0, "Roughness": 0.02}),
-        ("dark_holes", {"Base_Color": (0.01, 0.01, 0.01, 1), "Specular_IOR_Level": 0.0}),
+        ("transparent_dropout", {"Transmission_Weight": 1.0, "Roughness": 0.0, "Base_Color": (1, 1, 1, 1)}),
+        ("glossy_dropout", {"Metallic": 1.0, "Roughness": 0.02}),
+        ("dark_dropout", {"Base_Color": (0.01, 0.01, 0.01, 1), "Specular_IOR_Level": 0.0}),
     ],
 )
 def test_a_surface_that_gives_no_answer_makes_a_hole_where_it_is(effect, look, as_it_is, tmp_path):
@@ -192,9 +192,9 @@ def test_a_surface_that_gives_no_answer_makes_a_hole_where_it_is(effect, look, a
 def test_a_lacquered_surface_answers_and_a_lamp_is_not_dark(tmp_path):
     scene = room_with_a_virtual_sphere(1)
     pane(scene, principled("Lacquer", Roughness=0.02, Base_Color=(0.6, 0.3, 0.2, 1)))
-    phone, captured, files = planned(scene, tmp_path, replace(IPAD, effect_choices={"glossy_holes": "on"}))
-    assert state(phone, "dark_holes") == "off"
-    assert phone.see(captured, files)[1]["glossy_holes"] == 0
+    phone, captured, files = planned(scene, tmp_path, replace(IPAD, effect_choices={"glossy_dropout": "on"}))
+    assert state(phone, "dark_dropout") == "off"
+    assert phone.see(captured, files)[1]["glossy_dropout"] == 0
 
 
 def test_a_bright_wall_at_night_is_not_dark_to_a_sensor_with_its_own_light(tmp_path):
@@ -202,7 +202,7 @@ def test_a_bright_wall_at_night_is_not_dark_to_a_sensor_with_its_own_light(tmp_p
     light_strength().default_value = 1e-3
     phone, captured, _ = planned(scene, tmp_path, IPAD)
     assert captured.srgb_u8.mean() < 15
-    assert state(phone, "dark_holes") == "off"
+    assert state(phone, "dark_dropout") == "off"
 
 
 def test_roughness_that_a_texture_drives_is_not_known_and_makes_no_hole(tmp_path):
@@ -212,9 +212,9 @@ def test_roughness_that_a_texture_drives_is_not_known_and_makes_no_hole(tmp_path
     look.node_tree.links.new(noise.outputs[0], node_of(look, "BSDF_PRINCIPLED").inputs["Roughness"])
     pane(scene, look)
     phone, captured, files = planned(scene, tmp_path, IPAD)
-    assert state(phone, "glossy_holes") == "on"
+    assert state(phone, "glossy_dropout") == "on"
     assert np.isnan(load_surfaces(files.surfaces(1)).roughness[12, 16])
-    assert phone.see(captured, files)[1]["glossy_holes"] == 0
+    assert phone.see(captured, files)[1]["glossy_dropout"] == 0
 
 
 def test_materials_of_other_names_do_not_stand_in_for_a_mirror(tmp_path):

@@ -234,7 +234,7 @@ def test_counts_add_up_like_those_of_the_standard_library(counts):
 def test_every_reason_has_words_and_an_effect_of_the_phone_its_name():
     reasons = [*LEFT_OUT, *CLAMPED, *UNKNOWN]
     assert len(set(reasons)) == len(reasons) == len({format_reason(reason) for reason in reasons})
-    assert format_reason("dark_holes") == "the phone's dark holes"
+    assert format_reason("dark_dropout") == "the phone's dark dropout"
     assert not set(reasons) & {
         effect for name in ("ipad_pro_lidar", "azure_kinect") for effect in load_profile(name).effects
     }

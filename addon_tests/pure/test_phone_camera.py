@@ -7,9 +7,9 @@ import pytest
 
 from xihenet.camera import encode_exposed, valid_plane_depth
 from xihenet.phone import EFFECTS, CameraMotion, PhoneCamera, PhoneProfile, SurfaceFacts, load_profile, profile_names
-from xihenet.phone.camera_chain import HOLES
+from xihenet.phone.camera_chain import DROPOUTS
 from xihenet.phone.depth import RangeLimits
-from xihenet.phone.holes import Holes
+from xihenet.phone.depth_dropout import DepthDropout
 from xihenet.records import Intrinsics, RgbdFrame
 
 MOTION = CameraMotion(np.array([0.5, 0, 0]), np.array([0, 0, 0.6]))
@@ -30,7 +30,7 @@ def frame_of(number, size=(48, 64), ambient=(1.0, 0.9, 0.7)):
 
 
 def test_every_effect_that_makes_holes_has_its_turn():
-    assert sorted(HOLES) == sorted(name for name, kind in EFFECTS.items() if issubclass(kind, Holes))
+    assert sorted(DROPOUTS) == sorted(name for name, kind in EFFECTS.items() if issubclass(kind, DepthDropout))
 
 
 def as_bytes(frame):
@@ -129,7 +129,7 @@ def test_every_pixel_that_is_lost_is_counted_once(name):
     seen, n_lost = PhoneCamera(load_profile(name), 1).see(frame, facts=facts)
     n_valid, n_left = (np.count_nonzero(valid_plane_depth(one.plane_depth_m)) for one in (frame, seen))
     assert n_left == n_valid - sum(n_lost.values()) < 48 * 64
-    assert n_lost["transparent_holes"] == pytest.approx(0.5 * 48 * 64, rel=0.1)
+    assert n_lost["transparent_dropout"] == pytest.approx(0.5 * 48 * 64, rel=0.1)
     assert n_lost["range"] > 0
 
 

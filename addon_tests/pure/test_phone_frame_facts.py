@@ -12,7 +12,7 @@ from xihenet.phone import PhoneCamera, facts_of_frame, facts_of_session, load_pr
 from xihenet.records import Intrinsics
 
 CAMERA = Intrinsics(40, 30, 35.0, 35.0, 20.0, 15.0)
-HOLES = {"dark_holes", "grazing_holes", "span_holes", "range", "glossy_holes", "transparent_holes"}
+DROPOUTS = {"dark_dropout", "grazing_dropout", "span_dropout", "range", "glossy_dropout", "transparent_dropout"}
 
 
 def facts_from_frames(frames, positions_m, **known):
@@ -95,7 +95,7 @@ def test_what_the_caller_knows_wins():
 def test_an_effect_that_is_left_out_would_have_taken_no_pixel_away(name, seed):
     profile, frames = load_profile(name), random_session(seed)
     required = profile.required_effects(facts_from_frames(frames, [[0, 0, -1]]))
-    left_out = {name for name, one in required.items() if not one.is_required} & profile.effects & HOLES
+    left_out = {name for name, one in required.items() if not one.is_required} & profile.effects & DROPOUTS
     for effect in left_out:
         camera = PhoneCamera(profile, seed, effects={effect})
         for frame in frames:
@@ -105,5 +105,5 @@ def test_an_effect_that_is_left_out_would_have_taken_no_pixel_away(name, seed):
 def test_the_random_sessions_both_call_for_effects_and_leave_them_out():
     profile = load_profile("azure_kinect")
     plans = [profile.required_effects(facts_from_frames(random_session(s), [[0, 0, -1]])) for s in range(12)]
-    for effect in ("range", "span_holes", "dark_holes"):
+    for effect in ("range", "span_dropout", "dark_dropout"):
         assert {plan[effect].is_required for plan in plans} == {True, False}

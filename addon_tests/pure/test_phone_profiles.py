@@ -60,8 +60,8 @@ def test_published_figures_are_in_the_profiles():
     ipad, kinect = load_profile("ipad_pro_lidar").sections, load_profile("azure_kinect").sections
     assert (ipad["frame_rate"].width_px, ipad["frame_rate"].rate_hz, ipad["range"].farthest_m) == (256, 60, 5.0)
     assert (kinect["noise"].shift_px, kinect["noise"].sigma_m, kinect["noise"].growth) == (0.25, 0.0005, 0.001)
-    assert kinect["span_holes"].span_m == 0.8
-    assert kinect["dark_holes"].below_grey == pytest.approx(15 / 255, abs=1e-4)
+    assert kinect["span_dropout"].span_m == 0.8
+    assert kinect["dark_dropout"].below_grey == pytest.approx(15 / 255, abs=1e-4)
 
 
 def test_a_users_file_is_a_profile_and_may_leave_effects_out(tmp_path):

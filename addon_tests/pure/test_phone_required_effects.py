@@ -25,18 +25,18 @@ CALLING = {
     "noise": {"clearance_m": 0.05},
     "range": {"farthest_m": 7.0},
     "quantisation": {"clearance_m": 0.01},
-    "dark_holes": {"darkest_grey": 0.02},
-    "glossy_holes": {"smoothest_roughness": 0.0},
-    "transparent_holes": {"highest_transmission": 1.0},
-    "grazing_holes": {"steepest_deg": 88},
-    "span_holes": {"widest_step_m": 1.5},
+    "dark_dropout": {"darkest_grey": 0.02},
+    "glossy_dropout": {"smoothest_roughness": 0.0},
+    "transparent_dropout": {"highest_transmission": 1.0},
+    "grazing_dropout": {"steepest_deg": 88},
+    "span_dropout": {"widest_step_m": 1.5},
     "pose_drift": {"fastest_m_per_s": 0.5, "duration_s": 60},
     "light_sensor": {"light_changes": True},
 }
 
 
 def device_with(effect):
-    return load_profile("azure_kinect" if effect in {"quantisation", "span_holes"} else "ipad_pro_lidar")
+    return load_profile("azure_kinect" if effect in {"quantisation", "span_dropout"} else "ipad_pro_lidar")
 
 
 def required(facts, effect, profile=None):

@@ -60,7 +60,7 @@ def test_directions_that_followed_a_change_of_the_light_are_told_as_a_guess():
     assert row[0] == "directions around positions" and row[1] == "1,234" and "a guess" in row[3]
 
 
-words = st.sampled_from([*LEFT_OUT, *CLAMPED, *UNKNOWN, "dark_holes", "<b>", ""])
+words = st.sampled_from([*LEFT_OUT, *CLAMPED, *UNKNOWN, "dark_dropout", "<b>", ""])
 counts = st.dictionaries(words, st.integers(0, 10**12), max_size=4)
 kept = st.builds(
     frame, st.integers(-5, 5), is_valid=st.booleans(), reason=st.one_of(st.none(), words),

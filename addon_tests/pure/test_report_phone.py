@@ -11,7 +11,7 @@ def results(**changes):
     errors = {
         "all_on": 0.2,
         "perfect": 0.16,
-        "without": {"noise": 0.21, "frame_rate": None, "range": 0.16, "glossy_holes": 0.20001},
+        "without": {"noise": 0.21, "frame_rate": None, "range": 0.16, "glossy_dropout": 0.20001},
     }
     phone = {"name": "A <phone>", "summary": "of 2026", "shc_rmse": errors}
     given = {"settings": {"network": "lte"}, "phone": phone, "summary": {"mean_latency_ms": 81.0, "n_lost": 2}}

@@ -7,7 +7,7 @@ a picture), and judging darkness by the picture, in which a bright wall at night
 own light.
 
 Not here: reading node trees, see `RoomSurvey`; and roughness that a texture drives, which stays not known (NaN) and
-makes no hole.
+loses no depth.
 """
 
 from __future__ import annotations

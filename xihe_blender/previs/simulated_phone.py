@@ -30,13 +30,13 @@ from xihe_blender.previs.survey import SceneSurvey
 from xihenet import phone as phones
 from xihenet.camera import valid_plane_depth
 from xihenet.effects import Effect, names_that_are_on, plan_effects
+from xihenet.phone.depth_dropout import DepthDropout
 from xihenet.phone.exposure import FrameRate, delivered_frames
-from xihenet.phone.holes import Holes
 from xihenet.phone.metering import Metering, metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
 SURFACE_EFFECTS = frozenset(
-    name for name, kind in phones.EFFECTS.items() if issubclass(kind, Holes) and kind.asks_surfaces
+    name for name, kind in phones.EFFECTS.items() if issubclass(kind, DepthDropout) and kind.asks_surfaces
 )
 
 

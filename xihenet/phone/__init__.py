@@ -5,8 +5,8 @@ estimates come back, and `PhoneProfile.required_effects` which effects a session
 """
 
 from xihenet.phone.camera_chain import PhoneCamera, SessionTrack
+from xihenet.phone.depth_dropout import SurfaceFacts
 from xihenet.phone.frame_facts import FrameFacts, facts_of_frame, facts_of_session
-from xihenet.phone.holes import SurfaceFacts
 from xihenet.phone.motion import CameraMotion, motion_between
 from xihenet.phone.network import LINKS, EstimatesUnderWay, Link, Request, arrival_frames, first_frame_after
 from xihenet.phone.profile import EFFECTS, NETWORK, PHONE_EFFECTS, PhoneProfile, load_profile, profile_names

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from xihenet.camera import valid_plane_depth
 from xihenet.invalid import added, counted
 from xihenet.phone import depth
+from xihenet.phone.depth_dropout import DepthDropout, SeenSurfaces, SurfaceFacts
 from xihenet.phone.exposure import AutoExposure, FrameRate, expose, follow_exposure
-from xihenet.phone.holes import Holes, SeenSurfaces, SurfaceFacts
 from xihenet.phone.light_sensor import LightSensor, ambient_of_reading, follow_light, read_light
 from xihenet.phone.motion import CameraMotion, PoseDrift, RollingShutter, drift_pose, read_rows
 from xihenet.phone.profile import PhoneProfile
@@ -32,7 +32,7 @@ from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 SectionT = TypeVar("SectionT", bound=Section)
 TrackedT = TypeVar("TrackedT")
 
-HOLES = ("dark_holes", "transparent_holes", "glossy_holes", "grazing_holes", "span_holes")
+DROPOUTS = ("dark_dropout", "transparent_dropout", "glossy_dropout", "grazing_dropout", "span_dropout")
 """In the order in which they are counted: a pixel that several take counts for the first."""
 
 SEEDS = {"noise": 1, "pose_drift": 2, "light_sensor": 3, "light_sensor_gain": 4}
@@ -112,13 +112,13 @@ class PhoneCamera:
         if source is not None and shutter is not None and shutter.reads_plane_depth:
             ranged, known = seen, known.taken_from(source)
             n_lost["rolling_shutter"] = max(_n_lost(frame.plane_depth_m, seen.plane_depth_m), 0)
-        plane_depth_m, holes_made = self._measured(ranged, known)
+        plane_depth_m, n_dropped = self._measured(ranged, known)
         if plane_depth_m is not seen.plane_depth_m:
             seen = replace(seen, plane_depth_m=plane_depth_m)
         if track is not None and self.settings(AutoExposure):
             seen = expose(seen, _tracked(track.exposure, seen.frame, "exposure"), radiance)
         seen = drift_pose(seen, self.settings(PoseDrift), [self.seed, SEEDS["pose_drift"]])
-        n_lost |= holes_made
+        n_lost |= n_dropped
         if any(n_lost.values()):
             # Rows read elsewhere may hold fewer invalid pixels than the capture: those it gives up come last.
             seen = replace(seen, invalid=added([counted(**n_lost), frame.invalid]))
@@ -132,9 +132,9 @@ class PhoneCamera:
         if noise := self.settings(depth.DistanceNoise):
             z = depth.add_noise(z, noise, self._rng("noise", frame.frame), pixel_scale=scale)
         seen, n_lost = SeenSurfaces(frame, facts, z), {}
-        for effect in HOLES:
+        for effect in DROPOUTS:
             section = self.profile.sections[effect] if effect in self.effects else None
-            if isinstance(section, Holes):
+            if isinstance(section, DepthDropout):
                 before, z = z, depth.cleared(z, section.mask(seen))
                 n_lost[effect] = _n_lost(before, z)
         if limits := self.settings(depth.RangeLimits):

@@ -8,7 +8,7 @@ Lengths in pixels belong to the sensor's own width; callers scale them (`pixel_s
 the same share of its width. Chosen: noise as a standard deviation that grows with distance, and a grain (the distance
 in pixels over which it is smooth), since a phone's range sensor measures a few hundred dots and fills in the rest.
 Rejected: white noise per pixel for all, which averages out over an anchor's pixels and so looks too harmless.
-Not here: holes (see `holes`), multipath, sunlight.
+Not here: dropout (see `depth_dropout`), multipath, sunlight.
 """
 
 from __future__ import annotations
@@ -93,10 +93,10 @@ def cut_range(plane_depth_m: ArrayF32, settings: RangeLimits) -> ArrayF32:
     return cleared(plane_depth_m, beyond)
 
 
-def cleared(plane_depth_m: ArrayF32, is_hole: ArrayBool) -> ArrayF32:
-    """0 at the valid pixels of `is_hole`; the array itself if there are none."""
-    holes = is_hole & valid_plane_depth(plane_depth_m)
-    return np.where(holes, np.float32(0), plane_depth_m) if holes.any() else plane_depth_m
+def cleared(plane_depth_m: ArrayF32, is_dropped: ArrayBool) -> ArrayF32:
+    """0 at the valid pixels of `is_dropped`; the array itself if there are none."""
+    lost = is_dropped & valid_plane_depth(plane_depth_m)
+    return np.where(lost, np.float32(0), plane_depth_m) if lost.any() else plane_depth_m
 
 
 def noise_sigma_m(plane_depth_m: ArrayF32, settings: DistanceNoise) -> ArrayF64:
@@ -113,7 +113,7 @@ def add_noise(
     """Plane depth as the sensor measures it: each pixel reads a place nearby, with an error that grows with distance.
 
     A surface never comes nearer than half its true distance, nor as far as a miss: noise alone neither turns it behind
-    the camera nor makes a hole. `pixel_scale` is the picture's width over the sensor's.
+    the camera nor loses its depth. `pixel_scale` is the picture's width over the sensor's.
     """
     read_m = _shifted(plane_depth_m, settings.shift_px * pixel_scale, rng)
     sigma_m = noise_sigma_m(plane_depth_m, settings)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from xihenet.camera import unproject_frame, valid_plane_depth
 from xihenet.colour import LINEAR_OF_CODE
 from xihenet.phone.depth import window_span_m
-from xihenet.phone.holes import SurfaceFacts, facing_cosines
+from xihenet.phone.depth_dropout import SurfaceFacts, facing_cosines
 from xihenet.phone.metering import metered_exposure
 from xihenet.phone.motion import turn_between
 from xihenet.phone.settings import SessionFacts

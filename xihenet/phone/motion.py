@@ -3,7 +3,7 @@
 Rolling shutter: the rows of a picture are read from top to bottom; the middle one has the frame's pose. Chosen: each
 pixel of the result looks up the rendered frame, through the plane depth, at the place that its row's camera saw
 (gather, three fixed-point steps). Rejected: scattering the rendered pixels forward, which leaves cracks between rows
-that look like the sensor's holes; and rendering every row, which costs a render per row. Near depth edges a pixel whose
+that look like dropout; and rendering every row, which costs a render per row. Near depth edges a pixel whose
 surface was hidden from the middle row shows its neighbour instead.
 
 Pose drift: tracking walks away at random in position and in yaw; gravity holds pitch and roll. The walk is a function

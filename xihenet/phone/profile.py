@@ -16,8 +16,8 @@ from pathlib import Path
 from xihenet.effects import Requirement
 from xihenet.io.json_files import named
 from xihenet.phone.depth import DistanceNoise, EdgeBleeding, Quantisation, RangeLimits
+from xihenet.phone.depth_dropout import DarkDropout, GlossyDropout, GrazingDropout, SpanDropout, TransparentDropout
 from xihenet.phone.exposure import AutoExposure, FrameRate
-from xihenet.phone.holes import DarkHoles, GlossyHoles, GrazingHoles, SpanHoles, TransparentHoles
 from xihenet.phone.light_sensor import LightSensor
 from xihenet.phone.metering import Metering, checked_metering
 from xihenet.phone.motion import PoseDrift, RollingShutter
@@ -34,11 +34,11 @@ EFFECTS: Mapping[str, type[Section]] = {
     "noise": DistanceNoise,
     "range": RangeLimits,
     "quantisation": Quantisation,
-    "dark_holes": DarkHoles,
-    "glossy_holes": GlossyHoles,
-    "transparent_holes": TransparentHoles,
-    "grazing_holes": GrazingHoles,
-    "span_holes": SpanHoles,
+    "dark_dropout": DarkDropout,
+    "glossy_dropout": GlossyDropout,
+    "transparent_dropout": TransparentDropout,
+    "grazing_dropout": GrazingDropout,
+    "span_dropout": SpanDropout,
     "pose_drift": PoseDrift,
     "light_sensor": LightSensor,
 }

@@ -5,22 +5,22 @@ import pytest
 
 from addon_tests.pure.made import frame_of, pose_of, random_rotation
 from xihenet.camera import pixel_rays
-from xihenet.phone.holes import (
-    DarkHoles,
-    GlossyHoles,
-    GrazingHoles,
+from xihenet.phone.depth_dropout import (
+    DarkDropout,
+    GlossyDropout,
+    GrazingDropout,
     SeenSurfaces,
-    SpanHoles,
+    SpanDropout,
     SurfaceFacts,
-    TransparentHoles,
+    TransparentDropout,
     facing_cosines,
 )
 from xihenet.records import Intrinsics
 
-DARK = DarkHoles(source="test", below_grey=15 / 255)
-GLOSSY = GlossyHoles(source="test", below_roughness=0.1, beyond_deg=15)
-CLEAR = TransparentHoles(source="test", above_transmission=0.5)
-GRAZING = GrazingHoles(source="test", beyond_deg=80)
+DARK = DarkDropout(source="test", below_grey=15 / 255)
+GLOSSY = GlossyDropout(source="test", below_roughness=0.1, beyond_deg=15)
+CLEAR = TransparentDropout(source="test", above_transmission=0.5)
+GRAZING = GrazingDropout(source="test", beyond_deg=80)
 CAMERA = Intrinsics(40, 30, 35.0, 35.0, 20.0, 15.0)
 RAYS = pixel_rays(CAMERA)
 
@@ -33,7 +33,7 @@ def seen_surfaces(plane_depth_m, facts=None, colour=0):
     return SeenSurfaces(frame_of(z, intrinsics, srgb_u8=colour), facts or SurfaceFacts(), z)
 
 
-def holes_of(settings, frame, facts=None):
+def dropout_of(settings, frame, facts=None):
     return settings.mask(SeenSurfaces(frame, facts or SurfaceFacts(), frame.plane_depth_m))
 
 
@@ -83,7 +83,7 @@ def test_a_depth_edge_is_not_taken_for_a_grazing_surface():
     z = np.full((30, 40), 1.0)
     z[:, 20:] = 4.0
     z[15:] = 2.0
-    assert not holes_of(GRAZING, frame_of(z, CAMERA)).any()
+    assert not dropout_of(GRAZING, frame_of(z, CAMERA)).any()
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf, 2.0])
@@ -91,14 +91,14 @@ def test_one_pixel_faces_the_camera(value):
     assert facing_cosines(frame_of(np.full((1, 1), value)), SurfaceFacts())[0, 0] == 1
 
 
-def test_the_share_of_grazing_holes_on_a_floor_is_the_one_of_geometry():
+def test_the_share_of_grazing_dropout_on_a_floor_is_the_one_of_geometry():
     z, cosine = plane_seen((0, 1, 0), np.array([0, -0.15, 0.0]))
     seen = (z > 0) & (z < 1.5)
-    holes = holes_of(GRAZING, frame_of(np.where(seen, z, 0), CAMERA))
+    dropped = dropout_of(GRAZING, frame_of(np.where(seen, z, 0), CAMERA))
     expected = cosine < np.cos(np.radians(80))
     inner = seen & np.roll(seen, 1, 0)
     assert expected[inner].any() and not expected[inner].all()
-    assert np.mean(holes[inner] == expected[inner]) > 0.99
+    assert np.mean(dropped[inner] == expected[inner]) > 0.99
 
 
 def test_darkness_is_judged_by_reflectance_where_it_is_known():
@@ -121,17 +121,17 @@ def test_a_glossy_surface_answers_only_where_it_faces_the_phone():
     assert not GLOSSY.mask(seen_surfaces(z, SurfaceFacts(normals=normals))).any()
 
 
-def test_only_what_lets_light_through_is_a_transparent_hole():
+def test_only_what_lets_light_through_is_a_transparent_dropout():
     facts = SurfaceFacts(transmission=np.array([[0.0, 0.5, 0.9]], np.float32))
     assert CLEAR.mask(seen_surfaces(np.ones((1, 3)), facts)).tolist() == [[False, False, True]]
     assert not CLEAR.mask(seen_surfaces(np.ones((1, 3)))).any()
 
 
-def test_span_holes_lie_on_both_sides_of_a_wide_edge_only():
+def test_span_dropout_lies_on_both_sides_of_a_wide_edge_only():
     z = np.full((5, 9), 1.0, np.float32)
     z[:, 3:] = 1.7
     z[:, 6:] = 2.6
-    columns = np.flatnonzero(SpanHoles(source="test", span_m=0.8).mask(seen_surfaces(z)).all(axis=0))
+    columns = np.flatnonzero(SpanDropout(source="test", span_m=0.8).mask(seen_surfaces(z)).all(axis=0))
     assert columns.tolist() == [5, 6]
 
 

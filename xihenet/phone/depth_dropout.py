@@ -1,12 +1,12 @@
-"""Holes, where a range sensor gives no answer: dark, glossy, transparent and grazing surfaces, and depth edges.
+"""Depth dropout, where a range sensor gives no answer: dark, glossy, transparent and grazing surfaces, and depth edges.
 
-Each effect gives an (H, W) mask of holes; `depth.cleared` makes them 0. A sensor's light comes back from a rough
+Each effect gives an (H, W) mask of such pixels; `depth.cleared` makes them 0. A sensor's light comes back from a rough
 bright surface that faces it. What a picture alone cannot tell (roughness, transmission, reflectance, true normals) the
 caller gives as `SurfaceFacts`; where it gives none, darkness is judged by the picture and grazing angles by normals
-from the plane depth itself, and glossy and transparent surfaces make no holes.
+from the plane depth itself, and glossy and transparent surfaces keep their depth.
 
 Chosen: thresholds, as the published simulation of the Azure Kinect has them. Rejected: a probability per pixel, which
-makes a lace that no sensor shows; real holes are whole surfaces.
+makes a lace that no sensor shows; real dropout takes whole surfaces.
 Not here: what a mirror makes a sensor measure instead (the mirrored room).
 """
 
@@ -64,7 +64,7 @@ class SeenSurfaces:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Holes(Section):
+class DepthDropout(Section):
     """An effect that takes pixels away."""
 
     asks_surfaces: ClassVar[bool] = False  # for `SurfaceFacts`, which then have to be rendered
@@ -75,7 +75,7 @@ class Holes(Section):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DarkHoles(Holes):
+class DarkDropout(DepthDropout):
     """No answer where less than `below_grey` comes back: of the surface's reflectance, or of the picture's grey."""
 
     asks_surfaces = True
@@ -95,7 +95,7 @@ class DarkHoles(Holes):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GlossyHoles(Holes):
+class GlossyDropout(DepthDropout):
     """No answer from a surface smoother than `below_roughness` that is turned away more than `beyond_deg`."""
 
     asks_surfaces = True
@@ -116,7 +116,7 @@ class GlossyHoles(Holes):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TransparentHoles(Holes):
+class TransparentDropout(DepthDropout):
     """No answer where more than `above_transmission` of the light goes through."""
 
     asks_surfaces = True
@@ -135,7 +135,7 @@ class TransparentHoles(Holes):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GrazingHoles(Holes):
+class GrazingDropout(DepthDropout):
     """No answer where the surface's normal is more than `beyond_deg` away from the ray back to the camera."""
 
     beyond_deg: float = number("degrees", 0.0, 90.0)
@@ -151,7 +151,7 @@ class GrazingHoles(Holes):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpanHoles(Holes):
+class SpanDropout(DepthDropout):
     """No answer where the plane depth spans more than `span_m` in a window of 3 x 3 pixels."""
 
     span_m: float = number("m", 0.0, 100.0)
