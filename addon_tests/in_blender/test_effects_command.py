@@ -66,10 +66,14 @@ def test_senseless_overrides_are_refused(overrides, words):
     assert PROPERTY not in scene
 
 
-def test_a_property_that_holds_something_else_is_refused():
+@pytest.mark.parametrize(
+    ("stored", "words"),
+    [("volumes", "does not hold effects"), ({"dark_holes": "on"}, "of an older version, 'dark_holes'")],
+)
+def test_a_property_that_holds_something_else_is_refused(stored, words):
     scene = stage()
-    scene[PROPERTY] = "volumes"
-    with pytest.raises(UserError, match="delete it"):
+    scene[PROPERTY] = stored
+    with pytest.raises(UserError, match=f"scene property '{PROPERTY}' .*{words}.*: delete it"):
         plan_light_transport(scene)
 
 

@@ -36,7 +36,11 @@ def remembered_overrides(scene: bpy.types.Scene) -> dict[str, str]:
         return {}
     if not hasattr(stored, "to_dict"):
         raise UserError(f"scene property {PROPERTY!r} does not hold effects and their states: delete it")
-    return {str(name): str(state) for name, state in stored.to_dict().items()}
+    found = {str(name): str(state) for name, state in stored.to_dict().items()}
+    for name in found:
+        if name not in RULES and name not in PHONE_EFFECTS:
+            raise UserError(f"scene property {PROPERTY!r} has an effect of an older version, {name!r}: delete it")
+    return found
 
 
 def overrides_in_force(scene: bpy.types.Scene, overrides: Mapping[str, str]) -> dict[str, str]:
