@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from given import given
-from light_parts import walked_scene
+from light_parts import scene_of_chain
 
 from xihe_blender.capture.mirror_sphere import RADIUS_M, open_mirror_sphere
 from xihe_blender.capture.reference_probe import MeasuredLight
@@ -38,10 +38,10 @@ OTHERS = ("projection",)
 
 def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dict[str, dict[str, list[float]]]:
     """By method and figure, a value for each frame and position."""
-    run, walked = walked_scene(file, out, settings)
+    run, chain = scene_of_chain(file, out, settings)
     lattice, projection = AnchorLattice(settings.n_anchors), estimators.load("projection")
     found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    frames = [entry for entry in walked.frames if entry.active][::every]
+    frames = [entry for entry in chain.frames if entry.active][::every]
     lights: dict[int, dict[str, dict[str, ObjectLight]]] = {}
     last: dict[str, ObjectLight] = {}
     with open_mirror_sphere(run.scene, run.capture) as sphere:
@@ -57,7 +57,7 @@ def measured(file: Path, out: Path, settings: PrevisSettings, every: int) -> dic
                 found["probe"]["render_s"].append(seen[1])
                 found["probe"]["coverage"].append(float(cloud.is_set.mean()))
                 last[probe.object_name] = ObjectLight(sh)
-            lights[entry.frame] = walked.lights[entry.frame] | {"probe": dict(last)}
+            lights[entry.frame] = chain.lights[entry.frame] | {"probe": dict(last)}
     methods = [settings.estimator, *settings.others, "ambient", "probe"]
     for entry in frames:
         for one in entry.probes:
