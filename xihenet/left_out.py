@@ -23,6 +23,7 @@ import numpy as np
 
 from xihenet.buffers import FrameAtPosition, merge, merge_in_sight
 from xihenet.camera import unproject_frame, valid_plane_depth
+from xihenet.camera_path.placement import evenly_chosen, places_among, upward_points
 from xihenet.colour import srgb_to_linear
 from xihenet.estimators import Estimator
 from xihenet.paired import CONFIDENCE, held_at_most, paired_difference
@@ -30,7 +31,6 @@ from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh_basis import basis
 from xihenet.sphere import AnchorLattice
-from xihenet.walk.placement import evenly_chosen, places_among, upward_points
 
 N_PARTS = 3
 SMALLEST_SHARE = 0.02

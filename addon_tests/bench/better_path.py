@@ -32,7 +32,7 @@ from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.sphere_rig import sphere_mesh
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
-from xihenet.walk.looks import LookSettings
+from xihenet.camera_path.looks import LookSettings
 
 RADIUS_M = 0.05
 HEAD = "| scene, object | advice | seen | hdr error | lowered by | by random | ldr error | lowered by | by random |"

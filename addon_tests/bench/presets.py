@@ -26,7 +26,7 @@ from xihe_blender.lab.frontier.study import prepare, survey_scene
 from xihe_blender.lab.frontier.timing import median_and_spread
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
-from xihenet.walk.placement import evenly_chosen
+from xihenet.camera_path.placement import evenly_chosen
 
 HEAD = """\
 | scene | draft | balanced | accurate | accurate / draft in coefficients (by view) | in irradiance |

@@ -24,6 +24,7 @@ from xihenet import estimators
 from xihenet.backend import LocalBackend
 from xihenet.buffers import PositionBuffers
 from xihenet.camera import unproject_frame
+from xihenet.camera_path.surfaces import points_within, surfaces_around
 from xihenet.codec import encode_cloud
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.light_change import LightFollowing, follow_light
@@ -31,7 +32,6 @@ from xihenet.records import Intrinsics, RgbdFrame, TriggerDecision
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import LastSeen, TriggerSettings, decide_trigger
-from xihenet.walk.surfaces import points_within, surfaces_around
 
 CAMERA = Intrinsics(256, 192, 200.0, 200.0, 128.0, 96.0)
 PROBES = [(0.0, 2.0, 0.0), (0.3, 2.2, 0.1), (-0.3, 1.8, -0.1), (0.2, 2.5, 0.2)]

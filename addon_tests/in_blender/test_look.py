@@ -29,7 +29,7 @@ from xihe_blender.previs.better_camera import (
     save_better_path,
 )
 from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path
-from xihenet.walk.looks import LookSettings
+from xihenet.camera_path.looks import LookSettings
 
 
 def looked(scene, out, settings=CAPTURED, wishes=None):

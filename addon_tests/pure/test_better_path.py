@@ -8,11 +8,11 @@ import pytest
 from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of
 from xihenet.buffers import merge
 from xihenet.camera import pixel_rays, unproject_frame
+from xihenet.camera_path.better_path import LEAST_GAIN, KnownRoom, choose_look, guess_unseen, shown_by
+from xihenet.camera_path.looks import Look, LookSettings, direction_words, looks_of, random_looks, turned_view
 from xihenet.records import Intrinsics, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
-from xihenet.walk.better_path import LEAST_GAIN, KnownRoom, choose_look, guess_unseen, shown_by
-from xihenet.walk.looks import Look, LookSettings, direction_words, looks_of, random_looks, turned_view
 
 CAMERA = Intrinsics(48, 40, 24.0, 24.0, 24.0, 20.0)
 """90 degrees wide: four of them see all around."""

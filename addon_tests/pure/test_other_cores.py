@@ -13,11 +13,11 @@ import pytest
 from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of
 from xihenet import estimators
 from xihenet.camera import unproject_frame
+from xihenet.camera_path import other_cores
+from xihenet.camera_path.kept_path import KeptPath, SeenFrame
+from xihenet.camera_path.other_cores import AT_ONCE, find_light_on_all_cores, helper
 from xihenet.controller import ControllerSettings
 from xihenet.records import Intrinsics
-from xihenet.walk import other_cores
-from xihenet.walk.kept_walk import KeptWalk, SeenFrame
-from xihenet.walk.other_cores import AT_ONCE, find_light_on_all_cores, helper
 
 CAMERA = Intrinsics(48, 36, 30.0, 30.0, 24.0, 18.0)
 N_BATCHES = 3
@@ -32,7 +32,7 @@ def seen(frame):
 @pytest.fixture
 def walk():
     chain = ControllerSettings(reference_exposure=1.0, learns_out_of_view=True, between_estimates="carried")
-    return KeptWalk(tuple(map(seen, range(3))), chain, estimators.load("lattice", 320))
+    return KeptPath(tuple(map(seen, range(3))), chain, estimators.load("lattice", 320))
 
 
 @pytest.fixture

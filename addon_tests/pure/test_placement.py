@@ -7,10 +7,16 @@ from scipy.stats import spearmanr
 from addon_tests.pure.made import frame_of, pose_of
 from xihe_blender.io.placement_results import Place, PlacementResults, Verified
 from xihe_blender.report.placement import write_placement_report
+from xihenet.camera_path.placement import (
+    air_places,
+    places_among,
+    rank_correlation,
+    rank_correlation_interval,
+    upward_points,
+)
 from xihenet.formats import MINUS
 from xihenet.io.png import write_png
 from xihenet.records import Intrinsics
-from xihenet.walk.placement import air_places, places_among, rank_correlation, rank_correlation_interval, upward_points
 
 CAMERA = Intrinsics(64, 48, 50.0, 50.0, 32.0, 24.0)
 DOWN = np.eye(3)

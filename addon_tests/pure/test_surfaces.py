@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xihenet.walk.surfaces import Surface, clear_of, on_surfaces, surfaces_around
+from xihenet.camera_path.surfaces import Surface, clear_of, on_surfaces, surfaces_around
 
 CENTRE = np.array([1.0, 2.0, 0.9])
 CAMERA = np.array([0.5, 1.0, 1.6])

@@ -29,8 +29,8 @@ from xihe_blender.scene.virtual_objects import virtual_objects
 
 if TYPE_CHECKING:
     from xihe_blender.previs.kept_session import KeptSession
+    from xihenet.camera_path.kept_path import FoundLight
     from xihenet.records import ArrayF64
-    from xihenet.walk.kept_walk import FoundLight
 
 LOOK_EVERY_S = 0.01
 Places = Mapping[str, "Mapping[str, ArrayF64]"]

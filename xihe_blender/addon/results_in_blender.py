@@ -55,13 +55,13 @@ from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.lit_blend import make_lit_scene
 from xihe_blender.scene.virtual_objects import virtual_objects
+from xihenet.camera_path.kept_path import FoundLight
 from xihenet.io.frame_files import FrameCamera
 from xihenet.io.recording import read_header
 from xihenet.light.environments import laid_out
 from xihenet.light.key_light import mean_light
 from xihenet.panorama import evaluate_panorama
 from xihenet.records import ArrayF64, ObjectLight
-from xihenet.walk.kept_walk import FoundLight
 
 ERROR_CURVE, COVERAGE_CURVE, EXPECTED_CURVE = "Xihe SHC RMSE", "Xihe coverage", "Xihe expected error"
 LIGHT_HEIGHT = 64

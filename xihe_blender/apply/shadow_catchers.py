@@ -17,8 +17,8 @@ from xihe_blender.apply.datablocks import PREFIX, SHADOW_CATCHER, shortened
 from xihe_blender.scene.mesh_arrays import array_of, fill_mesh
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.state import show_to_camera_alone
+from xihenet.camera_path.surfaces import Surface
 from xihenet.records import ArrayF32, ArrayF64
-from xihenet.walk.surfaces import Surface
 
 CATCHER_INDEX = 32767
 """Pass index of a catcher, by which pixels that show one are told from others: the largest that there is."""

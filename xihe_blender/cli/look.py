@@ -37,7 +37,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     from xihe_blender.previs.better_path import LookWishes, better_path
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.blend_file import open_blend
-    from xihenet.walk.looks import LookSettings
+    from xihenet.camera_path.looks import LookSettings
 
     if options.is_for_map and options.objects:
         raise UserError("give either --objects, or --map for all places where an object could stand")

@@ -62,6 +62,7 @@ from xihe_blender.io.run_results import ERROR_AT_FULL_SCALE, Metrics
 from xihe_blender.scene.estimation_positions import box_corners_m
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import MISS_PLANE_DEPTH_M, PicturePart, part_around, unproject_frame, valid_plane_depth
+from xihenet.camera_path.surfaces import Surface
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.io.npz_files import read_npz
 from xihenet.io.whole_files import written_whole
@@ -69,7 +70,6 @@ from xihenet.light.key_light import rest_of
 from xihenet.light.reflections import light_of_rough, reflection_panorama
 from xihenet.metrics import angular_error, angular_error_deg, image_rmse, psnr, si_rmse, ssim
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ObjectLight, RgbdFrame
-from xihenet.walk.surfaces import Surface
 
 GROUND_TRUTH_SCENE = "Xihe Ground Truth"
 OCCLUSION_TOLERANCE = 2e-3

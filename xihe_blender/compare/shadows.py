@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from xihenet.camera import unproject_frame, valid_plane_depth
+from xihenet.camera_path.surfaces import Surface, clear_of, on_surfaces, points_within, surfaces_around
 from xihenet.metrics import image_rmse
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, Intrinsics, RgbdFrame
-from xihenet.walk.surfaces import Surface, clear_of, on_surfaces, points_within, surfaces_around
 
 REACH = 4.0
 """Half diagonals of an object's box, from its middle: so far its shadow is looked for."""

@@ -24,13 +24,13 @@ from xihe_blender.io.run_results import (
     RunResults,
     SurfaceResult,
 )
+from xihenet.camera_path.surfaces import Surface
 from xihenet.formats import as_spelled, format_names
 from xihenet.light import LightParts
 from xihenet.light.environments import laid_out_as_ours
 from xihenet.light.exports import NamedLight, export_files, scaled
 from xihenet.light.reflections import light_of_rough
 from xihenet.records import ArrayF64, KeyLight, ObjectLight
-from xihenet.walk.surfaces import Surface
 
 
 def as_key(key: KeyLight | None) -> KeyLightResult | None:

@@ -24,8 +24,8 @@ from xihe_blender.io.look_results import LookAway
 from xihe_blender.scene.blend_file import save_copy
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.units import metres_per_unit
+from xihenet.camera_path.looks import Look, turned_view
 from xihenet.records import ArrayF64
-from xihenet.walk.looks import Look, turned_view
 
 
 def poses_with_look(path: Sequence[ArrayF64], index: int, away: LookAway, frames_per_s: float) -> list[ArrayF64]:

@@ -1,6 +1,6 @@
 """The better path: which second of looking away from the camera path would add most, for each virtual object?
 
-The looks are tried on the kept session of a phone (`xihenet.walk.better_path`); nothing is rendered for that. On
+The looks are tried on the kept session of a phone (`xihenet.camera_path.better_path`); nothing is rendered for that. On
 request the advised look, random ones and a light probe at the object are rendered, to say how far the advice is right.
 """
 
@@ -35,6 +35,8 @@ from xihe_blender.report.look import write_look_report
 from xihe_blender.scene.state import scene_kept
 from xihenet.buffers import merge
 from xihenet.camera import unproject_frame
+from xihenet.camera_path.better_path import Advice, KnownRoom, Unseen, choose_look, guess_unseen
+from xihenet.camera_path.looks import Look, LookSettings, looks_of, random_looks
 from xihenet.completeness import coverage
 from xihenet.estimators import Estimator
 from xihenet.io.recording import load_frame, save_frame
@@ -42,8 +44,6 @@ from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
-from xihenet.walk.better_path import Advice, KnownRoom, Unseen, choose_look, guess_unseen
-from xihenet.walk.looks import Look, LookSettings, looks_of, random_looks
 
 THE_MAP = "all places"
 """As the name of an object: the places of the placement map."""

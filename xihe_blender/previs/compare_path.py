@@ -26,9 +26,9 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import ChainResult, Lights
+from xihenet.camera_path.placement import evenly_chosen
+from xihenet.camera_path.surfaces import Surface
 from xihenet.io.recording import load_frame
-from xihenet.walk.placement import evenly_chosen
-from xihenet.walk.surfaces import Surface
 
 OBJECTS = "objects"
 """Beside the radiance of each method: the share of each pixel that objects cover, by which metrics weigh."""

@@ -1,7 +1,7 @@
 """The session of a run, kept: what its phone saw, from which light at any other place follows without a render.
 
-The captures of a run hide the virtual objects and do not depend on them, see `xihenet.walk.kept_walk`. What needs a
-render is not here: reference light and ground truth.
+The captures of a run hide the virtual objects and do not depend on them, see `xihenet.camera_path.kept_path`. What
+needs a render is not here: reference light and ground truth.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.camera import unproject_frame
+from xihenet.camera_path.kept_path import FoundLight, KeptPath, SeenFrame
+from xihenet.camera_path.other_cores import find_light_on_all_cores
 from xihenet.io.recording import SessionFacts, load_frame
 from xihenet.light_change import LightFollowing
 from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
-from xihenet.walk.kept_walk import FoundLight, KeptWalk, SeenFrame
-from xihenet.walk.other_cores import find_light_on_all_cores
 
 OF_CHAIN = ("estimator", "target", "light", "n_anchors", "seed", "captured", "between_estimates", "network")
 """Settings by which the chain runs, under the names that results have for them too."""
@@ -38,9 +38,9 @@ class KeptSession:
     frames: tuple[SeenFrame, ...]
 
     @cached_property
-    def _walk(self) -> KeptWalk:
+    def _path(self) -> KeptPath:
         chain, (estimator, *_) = self.settings.chain(self.exposure), load_estimators(self.settings)
-        return KeptWalk(self.frames, chain, estimator, self.settings.link, self.settings.seed)
+        return KeptPath(self.frames, chain, estimator, self.settings.link, self.settings.seed)
 
     def find_light(self, places_m: Mapping[str, ArrayF64]) -> Job[dict[str, FoundLight]]:
         """A job, a step per frame: the light at positions ((3,) world, metres) that stay where they are, by name.
@@ -49,7 +49,7 @@ class KeptSession:
         """
         frames = [one.seen.frame for one in self.frames]
         return shown(
-            self._walk.find_light(places_m),
+            self._path.find_light(places_m),
             lambda done: Progress(done, len(frames), f"estimating the light from frame {frames[done]}"),
         )
 
@@ -57,7 +57,7 @@ class KeptSession:
         """A job: as `find_light`, for many positions, with the other cores of this machine."""
         n = len(places_m)
         return shown(
-            find_light_on_all_cores(self._walk, places_m),
+            find_light_on_all_cores(self._path, places_m),
             lambda done: Progress(done, n, f"estimating the light at place {min(done + 1, n)} of {n}"),
         )
 

@@ -29,7 +29,7 @@ from xihe_blender.scene.blend_file import save_copy
 from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.state import copied_scene, remove_copied_scene
 from xihe_blender.scene.units import metres_per_unit
-from xihenet.walk.surfaces import Surface
+from xihenet.camera_path.surfaces import Surface
 
 OUTPUT_PREFIX = "xihe_lit_"
 """Begins the names of the files that the lit scene renders, so that those of the room stay."""

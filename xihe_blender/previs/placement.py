@@ -29,11 +29,8 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.report.placement import write_placement_report
 from xihe_blender.scene.state import scene_kept
-from xihenet.metrics import shc_rmse
-from xihenet.records import ArrayF64
-from xihenet.sh import irradiance
-from xihenet.walk.kept_walk import FoundLight
-from xihenet.walk.placement import (
+from xihenet.camera_path.kept_path import FoundLight
+from xihenet.camera_path.placement import (
     REACH_M,
     air_places,
     evenly_chosen,
@@ -43,6 +40,9 @@ from xihenet.walk.placement import (
     seen_extent,
     upward_points,
 )
+from xihenet.metrics import shc_rmse
+from xihenet.records import ArrayF64
+from xihenet.sh import irradiance
 
 FINEST_M, GROWTH, N_SPACINGS = 0.05, 1.15, 40
 UP = np.array([[0.0, 0.0, 1.0]])

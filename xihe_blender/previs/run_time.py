@@ -35,10 +35,10 @@ from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
+from xihenet.camera_path.placement import evenly_chosen
 from xihenet.formats import format_duration
 from xihenet.light.reflections import N_DIRECTIONS
 from xihenet.records import ObjectLight, Reflections, RgbdFrame
-from xihenet.walk.placement import evenly_chosen
 
 FEW_SAMPLES = 4
 LONGEST_S = 4.0

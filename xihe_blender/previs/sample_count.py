@@ -41,13 +41,13 @@ from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.settings import Preset, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
 from xihenet.camera import unproject_frame
+from xihenet.camera_path.placement import evenly_chosen
 from xihenet.phone.metering import KEY_LUMINANCE, MOST_STOPS
 from xihenet.records import ArrayF64
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import TriggerSettings, colour_change
-from xihenet.walk.placement import evenly_chosen
 
 LARGE_STEP = 4
 """The pilot's larger number of samples over its smaller one."""

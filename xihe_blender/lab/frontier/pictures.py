@@ -34,11 +34,11 @@ from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.compare_path import MOST_SEEN
 from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
 from xihenet import estimators
+from xihenet.camera_path.placement import evenly_chosen
 from xihenet.light import LightParts
 from xihenet.metrics import image_rmse
 from xihenet.phone.session import PhoneSession
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame
-from xihenet.walk.placement import evenly_chosen
 
 METHODS = tuple(ComputeChoice(estimator=name) for name in ("lattice", "projection", "ambient"))
 LADDER = (2, 8, 64)

@@ -58,10 +58,10 @@ from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
+from xihenet.camera_path.placement import evenly_chosen
 from xihenet.effects import effects_as_json, plan_effects
 from xihenet.estimators.weights_format import weights_sha256
 from xihenet.records import ArrayF64
-from xihenet.walk.placement import evenly_chosen
 
 Result = TypeVar("Result")
 COLUMNS = (

@@ -11,11 +11,11 @@ from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.records import Place, Session, StudyOptions
 from xihenet.buffers import merge
 from xihenet.camera import in_view, unproject_frame
+from xihenet.camera_path.placement import evenly_chosen
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
-from xihenet.walk.placement import evenly_chosen
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,11 +21,11 @@ from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, part_of, run_blocking
 from xihe_blender.lab.paper.records import Place, Session
+from xihenet.camera_path.placement import evenly_chosen
 from xihenet.captures import open_capture
 from xihenet.io.json_files import read_json
 from xihenet.left_out import score_places
 from xihenet.records import ArrayF64, RgbdFrame
-from xihenet.walk.placement import evenly_chosen
 
 if TYPE_CHECKING:
     import bpy

@@ -20,12 +20,12 @@ from xihe_blender.lab.paper.clouds import views, with_truth
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio
 from xihenet import estimators
 from xihenet.camera import unproject_frame
+from xihenet.camera_path.placement import evenly_chosen, rank_correlation, upward_points
 from xihenet.completeness import ENTROPY_SIZES, joint_entropy
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, PointCloud
 from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
 from xihenet.sphere import AnchorLattice
-from xihenet.walk.placement import evenly_chosen, rank_correlation, upward_points
 
 N_ANCHORS = 1280
 SIZES = ENTROPY_SIZES[:-1]

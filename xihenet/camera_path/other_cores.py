@@ -1,6 +1,6 @@
-"""The light at many places of a kept walk, found on all cores: this process and helpers share one list of places.
+"""The light at many places of a kept path, found on all cores: this process and helpers share one list of places.
 
-Helpers are plain interpreters that run this module: they get the walk and then one batch of places after the other
+Helpers are plain interpreters that run this module: they get the path and then one batch of places after the other
 through a pipe, and know no Blender. Threads were rejected, since the chain is many short NumPy calls that wait for one
 another. Nothing depends on a helper: what one that cannot start, ends or hangs does not answer, this process finds.
 Light is the same whoever finds it, to the last bit: a helper has one thread and this process several, but no estimator
@@ -20,15 +20,15 @@ from collections.abc import Generator, Iterator, Mapping
 from typing import Any
 
 from xihenet.broken_pipes import broken_pipes_raise
+from xihenet.camera_path.kept_path import FoundLight, KeptPath
 from xihenet.child_processes import child_environment, n_cores
 from xihenet.records import ArrayF64
-from xihenet.walk.kept_walk import FoundLight, KeptWalk
 
 AT_ONCE = 5
 """Places of a batch: half a second of work or so, which is how long cores may wait for the last one."""
 
 MOST_HELPERS = 3
-"""Each keeps a copy of the walk, some 3 MB for each of its frames."""
+"""Each keeps a copy of the path, some 3 MB for each of its frames."""
 
 WORTH_IT = 40
 """Places; a helper takes about a second to start."""
@@ -39,9 +39,9 @@ Places = Mapping[str, ArrayF64]
 
 
 def find_light_on_all_cores(
-    walk: KeptWalk, places_m: Places, n_helpers: int | None = None
+    path: KeptPath, places_m: Places, n_helpers: int | None = None
 ) -> Generator[int, None, dict[str, FoundLight]]:
-    """As `KeptWalk.find_light`, in the order of `places_m`; each step says how many places are done.
+    """As `KeptPath.find_light`, in the order of `places_m`; each step says how many places are done.
 
     `n_helpers` are processes beside this one; None takes one for each other core, and none for few places. They have
     ended when the generator has, or is closed.
@@ -50,7 +50,7 @@ def find_light_on_all_cores(
         n_helpers = min(MOST_HELPERS, n_cores() - 1) if len(places_m) >= WORTH_IT else 0
     names, found = list(places_m), dict[str, FoundLight]()
     batches = deque(names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE))
-    packed = _packed(walk) if n_helpers else b""
+    packed = _packed(path) if n_helpers else b""
     with contextlib.ExitStack() as stack:
         for _ in range(n_helpers if packed else 0):
             stack.enter_context(helper(packed, places_m, batches, found))
@@ -60,7 +60,7 @@ def find_light_on_all_cores(
                 batch = batches.popleft()
             except IndexError:  # Helpers have the rest: what they do not answer is found here.
                 batch = [name for name in names if name not in found][:AT_ONCE]
-            steps = walk.find_light({name: places_m[name] for name in batch})
+            steps = path.find_light({name: places_m[name] for name in batch})
             while not all(name in found for name in batch):
                 try:
                     next(steps)
@@ -70,10 +70,10 @@ def find_light_on_all_cores(
     return {name: found[name] for name in names}
 
 
-def _packed(walk: KeptWalk) -> bytes:
-    """Empty for a walk whose estimator cannot be sent, such as one that runs elsewhere."""
+def _packed(path: KeptPath) -> bytes:
+    """Empty for a path whose estimator cannot be sent, such as one that runs elsewhere."""
     try:
-        return pickle.dumps(walk, pickle.HIGHEST_PROTOCOL)
+        return pickle.dumps(path, pickle.HIGHEST_PROTOCOL)
     except (pickle.PicklingError, AttributeError, TypeError):
         return b""
 
@@ -84,10 +84,10 @@ def helper(
 ) -> Iterator[threading.Thread]:
     """The thread that keeps a helper busy until there are no `batches`; both have ended when the block has.
 
-    `packed` is the pickled walk, and lights are put into `found`.
+    `packed` is the pickled path, and lights are put into `found`.
     """
     quiet, piped = subprocess.DEVNULL, subprocess.PIPE
-    command = [sys.executable, "-P", "-m", "xihenet.walk.other_cores"]
+    command = [sys.executable, "-P", "-m", "xihenet.camera_path.other_cores"]
     try:
         process = subprocess.Popen(
             command, stdin=piped, stdout=piped, stderr=quiet, env=child_environment(), **_NO_WINDOW
@@ -125,10 +125,10 @@ def helper(
 
 
 def _serve() -> None:
-    """Be a helper: a walk and then places come in, lights go out, until the pipe ends."""
+    """Be a helper: a path and then places come in, lights go out, until the pipe ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; whoever started this one ends it.
     places_in, lights_out = sys.stdin.buffer, sys.stdout.buffer
-    walk: KeptWalk = pickle.load(places_in)
+    path: KeptPath = pickle.load(places_in)
     pickle.dump(True, lights_out)
     lights_out.flush()
     while True:
@@ -136,7 +136,7 @@ def _serve() -> None:
             places_m = pickle.load(places_in)
         except EOFError:
             return
-        steps = walk.find_light(places_m)
+        steps = path.find_light(places_m)
         while True:
             try:
                 next(steps)

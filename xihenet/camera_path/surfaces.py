@@ -1,4 +1,4 @@
-"""Surfaces around an object: which flat ones are there, as far as the frames of a walk show them?
+"""Surfaces of the room around an object: which flat ones, as far as the frames of a path show them?
 
 An object casts its shadow on them: the table under it, the wall behind it. They are found in what the phone has
 captured and not in the room itself, which nobody has who holds a phone.

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xihenet.camera_path.placement import evenly_chosen
 from xihenet.phone.motion import turns_by
 from xihenet.records import ArrayF64
-from xihenet.walk.placement import evenly_chosen
 
 PITCHES_DEG = (-40.0, 0.0, 40.0, 75.0)
 YAW_STEP_DEG = 30.0

@@ -1,4 +1,4 @@
-"""A walk that was captured, kept: from its frames follows the light at any place, without another picture.
+"""A camera path that was captured, kept: from its frames follows the light at any place, without another picture.
 
 What the chain of a session has learned of the room does not depend on the places that it was asked for. So it is run
 again on the same frames, with the same settings, for others: light, coverage and expected error there are those that
@@ -50,7 +50,7 @@ class FoundLight:
 
 
 @dataclass(frozen=True, eq=False)
-class KeptWalk:
+class KeptPath:
     """All that the chain of a session needs to be run again; `link` and `seed` as of `PhoneSession`."""
 
     frames: tuple[SeenFrame, ...]

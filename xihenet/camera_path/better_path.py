@@ -1,7 +1,7 @@
 """The better path: where should the phone look for a second, so that the light at an object is known better?
 
 A look is a turn of the phone away from its path at one frame, a second of holding still, and the turn back. Many are
-tried on what the frames of the walk show, and nothing is rendered. What lies in directions that nobody has seen is not
+tried on what the frames of the path show, and nothing is rendered. What lies in directions that nobody has seen is not
 known, so it is guessed:
 
 - its distance: the end of the convex hull of all that was seen, with 1 m of free air around each place of the phone;
@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xihenet.camera import in_view
+from xihenet.camera_path.looks import Look, LookSettings
 from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
 from xihenet.records import (
     FAR_M,
@@ -36,7 +37,6 @@ from xihenet.records import (
     UnitSphereCloud,
 )
 from xihenet.sphere import AnchorLattice
-from xihenet.walk.looks import Look, LookSettings
 
 FREE_M = 1.0
 """Around each place of the phone, taken to be free: nobody walks along a wall with the phone touching it."""
@@ -60,7 +60,7 @@ LEAST_GAIN = 0.02
 
 @dataclass(frozen=True, eq=False)
 class KnownRoom:
-    """All that the frames of a walk show, for the question what they do not.
+    """All that the frames of a path show, for the question what they do not.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ class Unseen:
 
     Parameters
     ----------
-    cloud : after the walk, N anchors
+    cloud : after the path, N anchors
     points_m : (N, 3) world, metres: where each anchor's surface is, or may be
     radiance : (N, 3) linear, at the session's exposure: the light from there, or what may come from there
     weight : (N,) share of the likely light of each anchor; all add up to 1

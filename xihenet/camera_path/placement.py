@@ -1,4 +1,4 @@
-"""Places in a room where an object could stand or hang, as far as the frames of a walk show it.
+"""Places in a room where an object could stand or hang, as far as the frames of a path show it.
 
 Two kinds: on upward surfaces that were seen, and in free air at a height. What nobody has seen is no place.
 """

@@ -1,1 +1,0 @@
-"""A walk that is known: what was seen along it, what is around an object, and where to stand or look next."""
