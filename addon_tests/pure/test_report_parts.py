@@ -13,7 +13,7 @@ from addon_tests.pure import runs
 from xihe_blender.cli.previs import format_summary
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.run_results import METRICS, ComparedFrame, Metrics, RunResults
-from xihe_blender.report import tables
+from xihe_blender.report import budget, tables
 from xihe_blender.report.document import SCRIPT, STYLE, document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
 from xihe_blender.report.tables import numbers_section
@@ -155,6 +155,12 @@ def test_columns_of_frames_cover_the_axis_and_hold_their_centres():
         assert (edges[0], edges[-1]) == (0, pytest.approx(100)) and len(edges) == n_frames + 1
         assert all(a < c < b for a, c, b in zip(edges[:-1], centres, edges[1:], strict=True))
         assert np.ptp(np.diff(centres) / np.diff(numbers)) < 1e-9 if n_frames > 1 else centres == (50,)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-47, 47), (-3, 40), (0, 12), (-400, 40)])
+def test_bars_of_a_budget_have_several_ticks(low, high):
+    ticks = budget._axis(low, high).ticks
+    assert len(ticks) >= 3 and 0 in ticks and all(low <= tick <= high for tick in ticks)
 
 
 def luminance(colour: str) -> float:

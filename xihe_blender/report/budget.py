@@ -14,8 +14,8 @@ ROW_PX, BAR_PX = 42, 16
 _HOW = (
     "Each bar is what would be taken off the error if that part alone were perfect and all else as it was. Parts "
     "overlap, so the bars do not add up to the whole error. A bar to the left makes the error larger. The line on a "
-    "bar is the 95 % confidence interval over seeds: of parts whose lines overlap nobody can say which helps "
-    "more, and one whose line holds 0 may help or harm, and stands last."
+    "bar is the 95 % confidence interval over seeds, and goes on where it meets the edge: of parts whose lines overlap "
+    "nobody can say which helps more, and one whose line holds 0 may help or harm, and stands last."
 )
 
 
@@ -63,7 +63,7 @@ def _bars(item: ObjectBudget) -> str:
 
 def _axis(low: float, high: float) -> svg.Axis:
     """From the largest loss, in per cent, to the whole error; its ticks lie between them."""
-    ticks = svg.linear_axis(low, high).ticks
+    ticks = svg.linear_axis(low, high, n_steps=8).ticks
     inside = tuple(tick for tick in ticks if low <= tick <= high)
     return svg.Axis(low, 1.02 * high if high > 0 else 1.0, inside, lambda value: f"{_number(value, 'g')} %")
 
