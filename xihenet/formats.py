@@ -63,11 +63,6 @@ def format_position(position_m: Sequence[float]) -> str:
     return ", ".join(with_minus(f"{metres:.2f}") for metres in position_m)
 
 
-def format_share(share: float) -> str:
-    """A share of 1 within a sentence, "0.35%" or "41%": two decimals below 10 %."""
-    return f"{share:.2%}" if share < 0.0995 else f"{share:.0%}"
-
-
 def format_milliseconds(time_ms: float) -> str:
     """A time that was measured: "4.12 ms", "1.3 s", "128 s"."""
     if time_ms < 999.5:

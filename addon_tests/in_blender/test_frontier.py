@@ -114,7 +114,9 @@ def test_table_and_report_hold_all_and_ask_for_nothing_else(done):
         and "Do objects need a key light and reflections?" in page
         and page.count('class="plot wide"') >= 8
     )
-    assert "4 samples at accurate; in the exhaustive render it has 8." in page
+    assert (
+        "1 sample at draft, 2 samples at balanced and 4 samples at accurate; in the exhaustive render it has 8." in page
+    )
     assert "http://" not in page and "src=" not in page
 
 

@@ -62,11 +62,11 @@ def test_answers_are_sentences_with_units():
     told = {one.question: one.answer for one in answers(["room"], points)}
     assert told["Which estimator?"] == (
         "lattice is closest to the rendered light probe on this walk, of light clipped at white. Error and time of a "
-        "frame, by estimator: lattice: 30% in 4 ms; projection: 40% in 4 ms."
+        "frame, by estimator: lattice: 30.0 % in 4 ms; projection: 40.0 % in 4 ms."
     )
-    assert "draft (1 samples): 40% in 2 s; balanced (4 samples): 10% in 8 s." in told["What do the presets cost?"]
+    assert "draft (1 samples): 40.0 % in 2 s; balanced (4 samples): 10.0 % in 8 s." in told["What do the presets cost?"]
     assert told[LAST_TENTH].strip() == (
-        "Rendering: only balanced (4 samples), which takes 8 s a frame, lowers the error from 40% to 10%."
+        "Rendering: only balanced (4 samples), which takes 8 s a frame, lowers the error from 40.0 % to 10.0 %."
     )
 
 

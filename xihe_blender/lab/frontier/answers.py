@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from xihe_blender.lab.frontier.points import family, format_choice, group
 from xihe_blender.lab.frontier.records import Answer, FrontierPoint
-from xihenet.formats import format_count, format_milliseconds, format_share
+from xihenet.formats import format_count, format_milliseconds, format_percent
 
 HOW_MANY_ANCHORS = "How many anchors?"
 LAST_TENTH = "What does the last 10 % of accuracy cost?"
@@ -60,7 +60,7 @@ def _anchors(points: Sequence[FrontierPoint]) -> str:
     if fewest is not own[-1]:
         words = (
             f"{n} anchors are enough: no other number brings the estimate closer to the rendered light probe by more "
-            f"than {GOOD_ENOUGH:.0%} of the light"
+            f"than {format_percent(GOOD_ENOUGH, 1)} of the light"
         )
     return f"{words}. {ERROR_AND_TIME}, by anchors: {listed}."
 
@@ -107,7 +107,7 @@ def _frame_size(points: Sequence[FrontierPoint]) -> str:
     if len(best) < 2:
         return ""
     listed = "; ".join(
-        f"{size[0]}x{size[1]} pixels: {format_share(error)}" for size, error in sorted(best.items(), reverse=True)
+        f"{size[0]}x{size[1]} pixels: {format_percent(error, 3)}" for size, error in sorted(best.items(), reverse=True)
     )
     return f"The least error, whatever the samples: {listed}. In a small frame a pixel stands for more than one anchor."
 
@@ -130,7 +130,7 @@ def _what_light(inside: Sequence[FrontierPoint], around: Sequence[FrontierPoint]
     own = family(inside, ("light",))
     if not own:
         return ""
-    ring = {p.label: format_share(p.error) for p in around}
+    ring = {p.label: format_percent(p.error, 3) for p in around}
     best = min(own, key=lambda p: p.error)
     listed = "; ".join(f"{p.settings.light}: {_light_and_time(p)}, {ring[p.label]} around them" for p in own)
     return (
@@ -147,7 +147,7 @@ def _last_tenth(points: Sequence[FrontierPoint], doing: str) -> str:
     cheapest, dearest = front[0], front[-1]
     bound = dearest.error + 0.1 * (cheapest.error - dearest.error)
     near = next(p for p in front if p.error <= bound)
-    way = f"the error from {format_share(cheapest.error)} to {format_share(dearest.error)}"
+    way = f"the error from {format_percent(cheapest.error, 3)} to {format_percent(dearest.error, 3)}"
     time = format_milliseconds(near.time_ms)
     if near is dearest:
         return f"{doing}: only {dearest.name}, which takes {time} a frame, lowers {way}."
@@ -158,5 +158,5 @@ def _last_tenth(points: Sequence[FrontierPoint], doing: str) -> str:
 
 
 def _light_and_time(point: FrontierPoint) -> str:
-    """ "1.23% in 4.12 ms"."""
-    return f"{format_share(point.error)} in {format_milliseconds(point.time_ms)}"
+    """ "1.23 % in 4.12 ms"."""
+    return f"{format_percent(point.error, 3)} in {format_milliseconds(point.time_ms)}"

@@ -19,7 +19,7 @@ import numpy as np
 from xihe_blender.io.json_records import INLINE, Json, as_json, from_json
 from xihe_blender.lab.frontier.records import ChoiceSettings, Front, FrontierPoint, FrontierScene, PointSettings
 from xihe_blender.lab.frontier.timing import median_and_spread
-from xihenet.formats import format_setting
+from xihenet.formats import format_percent, format_setting
 from xihenet.pareto import dominators, front_share, on_front
 
 NO_CHOICE = frozenset({"error_kind", "estimates", "steps"})
@@ -141,7 +141,7 @@ def format_dominated(points: Sequence[FrontierPoint]) -> list[str]:
 
 
 def _of(part: float, whole: float) -> str:
-    return f"{part / whole:.0%}" if whole > 0 else "the same share"
+    return format_percent(part / whole) if whole > 0 else "the same share"
 
 
 def family(points: Sequence[FrontierPoint], names: Sequence[str]) -> list[FrontierPoint]:

@@ -87,7 +87,7 @@ def _scene(frontier: Frontier, name: str) -> str:
 
 def _samples(scene: FrontierScene) -> str:
     """How many samples each preset takes, and the render that they are held against."""
-    counts = [f"{choice.samples} samples at {name}" for name, choice in scene.presets.items()]
+    counts = [f"{format_count(choice.samples, 'sample')} at {name}" for name, choice in scene.presets.items()]
     most = scene.exhaustive_samples
     exhaustive = "" if most is None else f"; in the exhaustive render it has {most}"
     return f"In this room a pixel of a capture has {format_list(counts)}{exhaustive}."
@@ -152,7 +152,7 @@ def _how(frontier: Frontier) -> str:
         "Errors of computing and rendering are of light clipped at white, as in the paper. A run estimates all of the "
         "light unless it is told otherwise, and another estimator may be closest to that.",
         "Times are processor time, median over rounds in which all choices take turns in random order; renders "
-        "take one thread. Whiskers reach from quartile to quartile.",
+        "take one thread. Whiskers are as long as the distance between the quartiles.",
         "A choice is dominated if another has no more error in no more time, and less of one; it flickers if resampled "
         "measurements put it on the front in 5 to 95 % of cases.",
     ]
@@ -242,7 +242,7 @@ def _mark(times: Axis, errors: Axis, point: FrontierPoint, number: str) -> str:
         # On the right, where the names of presets stand on the left.
         place = 'x="8" y="4"' if NAMES_LEFT_FROM < x < 100 - NUMBER_PERCENT else 'x="-6" y="14" text-anchor="end"'
         name = f'<text class="number" {place}>{number}</text>'
-    # From quartile to quartile, as far as is known: the spread, half of it to either side.
+    # The quartiles themselves are not kept: half of their distance to either side.
     low, high = (_x(times, max(1e-9, point.time_ms + side * point.spread_ms / 2)) for side in (-1, 1))
     whiskers = svg.straight(low, y, high, y, "whisker")
     if point.error > 0:
@@ -255,7 +255,7 @@ def _mark(times: Axis, errors: Axis, point: FrontierPoint, number: str) -> str:
 def _hover(point: FrontierPoint) -> str:
     words = f"{point.name}\nerror {_percent(point.error)}, {format_milliseconds(point.time_ms)}"
     if point.flickers:
-        words += f"\non the front in {point.front_share:.0%} of resampled measurements"
+        words += f"\non the front in {format_percent(point.front_share)} of resampled measurements"
     return words if point.on_front or point.instead is None else f"{words}\ntake instead: {point.instead}"
 
 
