@@ -12,7 +12,6 @@ from xihe_blender.lab.paper.records import Place, Session, StudyOptions
 from xihe_blender.lab.paper.studies import trigger_labelled, trigger_sessions
 from xihenet import estimators
 from xihenet.backend import LocalBackend
-from xihenet.colour import srgb_to_linear
 from xihenet.controller import ControllerSettings, XiheController
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import TriggerSettings
@@ -59,10 +58,18 @@ def test_the_best_theta_is_that_of_trying_them_all():
 
 def test_every_strategy_is_judged_on_the_same_pairs(tmp_path, monkeypatch):
     monkeypatch.setattr(trigger_labelled, "N_PAIRS", 40)
+    drawn = set()
+
+    def measured(cases, rng, *, groups):
+        drawn.update(groups)
+        return records.measured(cases, rng, groups=groups)
+
+    monkeypatch.setattr(trigger_labelled, "measured", measured)
     sessions = [walk_of("dim", 1, 0.05), walk_of("bright", 2, 0.4)]
     rows = list(trigger_labelled.measure(sessions, options(tmp_path)))
     best = [row for row in rows if row.what.endswith("best theta: split 50%")]
     assert len(best) == 5 and {row.n for row in best} == {40}
+    assert len(drawn) == 3  # Either room, and both: in whatever order.
     over_theta = [row for row in rows if row.series == "window 4"]
     assert [row.at for row in over_theta] == list(trigger_labelled.THETAS)
     assert len({row.value for row in rows if row.series.startswith("ours")}) == 1
@@ -99,16 +106,6 @@ def test_a_rule_that_always_asks_is_never_off_and_one_that_never_does_keeps_the_
     assert n_never == 0 and off.max() > 0
 
 
-def test_frames_between_two_have_the_light_between_them():
-    clouds = [
-        place.seen[0] for place in (trigger_sessions.follow(walk_of("lamp", 3, dims_at=k), LATTICE)[0] for k in (1, 0))
-    ]
-    between = list(trigger_sessions.blended(clouds, 4))
-    assert len(between) == 5 and np.array_equal(between[0].srgb, clouds[0].srgb) and between[4] is clouds[1]
-    linear = [srgb_to_linear(cloud.srgb[cloud.is_set].astype(float)) for cloud in between]
-    assert np.allclose(linear[1], 0.75 * linear[0] + 0.25 * linear[4], atol=1e-6)
-
-
 def test_estimates_at_an_error_are_the_fewest_that_any_theta_takes():
     curve = np.array([[10, 0.0], [6, 0.02], [8, 0.03], [2, 0.04]])
     found = [trigger_sessions.fires_at(error, curve) for error in (0.0, 0.01, 0.03, 0.035, 0.1)]
@@ -119,7 +116,7 @@ def test_sessions_yield_the_table_and_the_curves_of_both_rules(tmp_path):
     lamp = replace(walk_of("light_intensity", 7, dims_at=3), name="light_intensity")
     rows = list(trigger_sessions.measure([lamp, walk_of("walk_around", 8)], options(tmp_path)))
     together = [row for row in rows if "one theta for all" in row.what]
-    assert len({row.what for row in rows if "blended to 10 frames a second" in row.what}) == 0  # 30 a second already
     assert len(together) == 2 and all(row.value >= 0 and row.n == 4 for row in together)
-    assert {row.paper for row in rows if row.what == "light_intensity, the paper's rule, theta 0.6: mean"} == {0.011}
+    of_paper = {row.what: row.paper for row in rows if "light_intensity, the paper's rule, theta 0.6: " in row.what}
+    assert list(of_paper.values()) == [0.011, 0.0038, 0.0024]  # Mean, spread, frames with an estimate.
     assert {row.series for row in rows if row.series} >= {"light_intensity, our rule", "walk_around, the paper's rule"}

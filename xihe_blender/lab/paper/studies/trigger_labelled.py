@@ -41,7 +41,7 @@ PAIRS = (
 )
 BEST = PAIRS + " The best theta is chosen on these very pairs, in favour of the paper's rule."
 FIXED = PAIRS + (
-    " The one threshold of our rule was chosen on such pairs of these rooms and of eleven other recordings."
+    " The one threshold of our rule was chosen on such pairs of the project's own rooms and of eleven other recordings."
 )
 
 
@@ -158,7 +158,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     lattice = AnchorLattice(1280)
     found = pairs(items(steady, lattice), N_PAIRS, rng)
     alike, by_strategy = np.array([likeness(pair) for pair in found]), changes(found, lattice)
-    rooms = [f"{first.room} {second.room}" for first, second in found]
+    rooms = [frozenset(item.room for item in pair) for pair in found]
     ours = TriggerSettings().light_theta
     for split in SPLITS:
         chosen, is_change = labelled(alike, split)
