@@ -143,7 +143,7 @@ def test_the_page_of_the_documentation_has_no_details_and_says_a_sentence_once(t
 
 def test_studies_have_names_of_their_own_in_the_order_of_the_paper():
     names = [study.name for study in paper.all_studies()]
-    assert len(set(names)) == len(names) > 0
+    assert len(set(names)) == len({study.place for study in paper.all_studies()}) == len(names) > 0
     assert [study.name for study in paper.chosen_studies([names[-1]])] == names[-1:]
 
 
@@ -189,7 +189,9 @@ def test_bytes_are_counted_on_the_clouds_of_a_walk(walk, tmp_path):
 def test_even_anchors_share_the_sphere_and_those_of_a_grid_do_not(walk, tmp_path):
     study = paper.chosen_studies(["anchors_uniform"])[0]
     rows = {row.what: row.value for row in study.measure([walk], StudyOptions(True, 0, tmp_path))}
-    assert rows["even: spread of area over mean"] < 0.05 < rows["grid: spread of area over mean"]
+    # By Voronoi's cells 0.01515; of the grid, between its circles of latitude, 0.4824.
+    assert rows["even: spread of area over mean"] == pytest.approx(0.01515, rel=0.03)
+    assert rows["grid: spread of area over mean"] == pytest.approx(0.4824, rel=0.005)
     assert rows["even: all seen, equal weights"] < 0.002 < rows["grid: all seen, equal weights"]
 
 

@@ -18,7 +18,7 @@ QUICK_SIZES = (512, 1280, 2048)
 NON_EMPTY = 607 / 1280
 ERROR = (
     "Light clipped at white from one view, in other rooms, by one set of weights of ours; the paper trains a network "
-    "for each number of anchors. In both, the number hardly matters."
+    "for each number of anchors."
 )
 SHARE = "In the paper 607 of 1280 anchors are set on average. The number depends on the angle of view and the room."
 

@@ -21,7 +21,7 @@ from xihenet.sphere import AnchorLattice
 
 ROWS, COLUMNS = 32, 40
 N_ANCHORS = ROWS * COLUMNS
-N_ACROSS = 1000
+N_ACROSS = 2000
 AREA = "The paper shows one picture of each and no figure. Here it is the spread of the anchors' shares of the sphere."
 COMPLETENESS = (
     "The paper's completeness is the share of anchors that are set, which is a share of the sphere only for even "

@@ -88,5 +88,5 @@ STUDY = Study(
     "WiFi and LTE, with one, two and four positions.",
     measure,
     "positions",
-    "Network time, ms.",
+    "Network time, over loopback with the server's work, ms.",
 )

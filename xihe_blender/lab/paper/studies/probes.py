@@ -29,7 +29,7 @@ LIGHT = (
 )
 PICTURE = (
     "Three spheres under nine coefficients are compared with path-traced ones, in sRGB, clipped at white. The error "
-    "under the true light comes from the nine coefficients."
+    "under the true light comes from the nine coefficients, and from clipping."
 )
 TIMES = "The paper compares times (19.9 % less than GLEAM); here errors in the same room are compared."
 SAMPLES = 16
