@@ -25,6 +25,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from xihenet.colour import in_any_channel
 from xihenet.mirror_ball import neighbours, project_mirror_ball
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64
 
@@ -54,20 +55,22 @@ def clipped_sh(
         raise ValueError("clipped_sh: expected at least one picture, got none")
     # Asked before anything is clipped: white hides what is infinite, and black what is NaN.
     every = (*radiance, *emission, *([] if smooth is None else [smooth]))
-    n_bad = sum(np.count_nonzero(~np.isfinite(one).all(axis=-1)) for one in every)
+    n_bad = sum(np.count_nonzero(in_any_channel(~np.isfinite(one))) for one in every)
     if n_bad:
         raise ValueError(f"clipped_sh: expected finite pictures, got {n_bad} pixels with NaN or infinity")
     # Light below black is none to a picture.
     radiance, emission = ([np.maximum(picture, 0) for picture in some] for some in (radiance, emission))
     reflections = _Reflections(radiance, emission)
-    judge = np.median(neighbours(reflections.mean(), MEDIANS), axis=0) if smooth is None else smooth
+    judged = _median_is_white(reflections.mean()) if smooth is None else smooth >= 1
     by_chance, around = _met_by_chance(reflections.is_lamp, fog), None
     if by_chance.any():
         around = neighbours(np.mean(radiance, axis=0), NEIGHBOURHOOD).mean(axis=0)
     lights = []
     for number, (seen, met) in enumerate(zip(radiance, emission, strict=True)):
-        usual = np.where(reflections.is_near_lamp, reflections.without(number), judge)
-        is_white = np.where(reflections.is_lamp[number], met, usual) >= 1
+        is_white = judged.copy()
+        is_white[reflections.near_lamp] = reflections.without(number) >= 1
+        is_lamp = reflections.is_lamp[number][..., 0]
+        is_white[is_lamp] = met[is_lamp] >= 1
         if around is not None:
             is_white = np.where(by_chance, around >= 1, is_white)
         lights.append(project_mirror_ball(np.where(is_white, np.float32(1), seen), order))
@@ -97,30 +100,46 @@ def _met_by_chance(is_lamp: Sequence[ArrayBool], fog: ArrayBool | None) -> Array
     return lamp & fog
 
 
+def _median_is_white(picture: ArrayF32) -> ArrayBool:
+    """(N, N, 3) where the median of a pixel's neighbours is white: where more than half of them are."""
+    return neighbours(picture >= 1, MEDIANS).sum(axis=0, dtype=np.uint8) > MEDIANS**2 // 2
+
+
 class _Reflections:
     """What the rays of S pictures met that is neither lamp nor sky.
 
-    `is_lamp` says of each picture (N, N, 1) where its ray met one, `is_near_lamp` (N, N, 1) where any did nearby.
+    `is_lamp` says of each picture (N, N, 1) where its ray met one, `near_lamp` in which rows and columns any did nearby
+    but not all of them right there.
     """
 
     def __init__(self, radiance: Sequence[ArrayF32], emission: Sequence[ArrayF32]) -> None:
-        self.is_lamp: list[ArrayBool] = [met.max(axis=-1, keepdims=True) > 0 for met in emission]
-        self._seen = [np.where(lamp, np.float32(0), own) for lamp, own in zip(self.is_lamp, radiance, strict=True)]
+        self.is_lamp: list[ArrayBool] = [in_any_channel(met > 0) for met in emission]
+        self._seen = [picture.copy() for picture in radiance]
+        for seen, lamp in zip(self._seen, self.is_lamp, strict=True):
+            seen[lamp[..., 0]] = 0
         self._total: ArrayF32 = np.sum(self._seen, axis=0)
         self._counts: ArrayF32 = np.sum(np.logical_not(self.is_lamp), axis=0, dtype=np.float32)
-        self.is_near_lamp: ArrayBool = neighbours(np.any(self.is_lamp, axis=0), NEIGHBOURHOOD).any(axis=0)
+        is_near_lamp = neighbours(np.any(self.is_lamp, axis=0), NEIGHBOURHOOD).any(axis=0)
+        self.near_lamp = np.nonzero((is_near_lamp & ~np.all(self.is_lamp, axis=0))[..., 0])
+        steps = np.mgrid[:NEIGHBOURHOOD, :NEIGHBOURHOOD].reshape(2, -1, 1) - NEIGHBOURHOOD // 2
+        rows, columns = (np.array(self.near_lamp)[:, None] + steps).clip(0, len(is_near_lamp) - 1)
+        self._beside = rows * len(is_near_lamp) + columns
 
     def without(self, number: int) -> ArrayF32:
-        """(N, N, 3) their mean over the pixels around, of all pictures but one; 0 where there is none."""
-        if len(self._seen) == 1:
-            return self.mean()
-        return _mean_around(self._total - self._seen[number], self._counts - ~self.is_lamp[number])
+        """(K, 3) their mean over the pixels around each of `near_lamp`, of all pictures but one; 0 where there is none.
+
+        Of a single picture, its own.
+        """
+        total, counts = self._total, self._counts
+        if len(self._seen) > 1:
+            total, counts = total - self._seen[number], counts - ~self.is_lamp[number]
+        around = (each.reshape(-1, each.shape[-1]).take(self._beside, axis=0) for each in (total, counts))
+        return _mean_of(*around)
 
     def mean(self) -> ArrayF32:
-        """(N, N, 3) the same of all pictures."""
-        return _mean_around(self._total, self._counts)
+        """(N, N, 3) the same of all pictures, of every pixel."""
+        return _mean_of(neighbours(self._total, NEIGHBOURHOOD), neighbours(self._counts, NEIGHBOURHOOD))
 
 
-def _mean_around(total: ArrayF32, counts: ArrayF32) -> ArrayF32:
-    n = neighbours(counts, NEIGHBOURHOOD).sum(axis=0)
-    return neighbours(total, NEIGHBOURHOOD).sum(axis=0) / np.maximum(n, 1)
+def _mean_of(totals: ArrayF32, counts: ArrayF32) -> ArrayF32:
+    return totals.sum(axis=0) / np.maximum(counts.sum(axis=0), 1)

@@ -50,3 +50,8 @@ def linear_to_srgb(linear: ArrayLike) -> NDArray[Any]:
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055).astype(
         light.dtype, copy=False
     )
+
+
+def in_any_channel(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(..., 1) where a mask (..., 3) is true in any channel; `any` over an axis of 3 takes ten times as long."""
+    return mask[..., :1] | mask[..., 1:2] | mask[..., 2:]

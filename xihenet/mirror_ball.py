@@ -130,7 +130,7 @@ def _checked(radiance: ArrayLike) -> ArrayF64:
     return image
 
 
-def neighbours(picture: ArrayF32, side: int) -> ArrayF32:
+def neighbours(picture: NDArray[Any], side: int) -> NDArray[Any]:
     """(side^2, N, N, C) each pixel's neighbours in (N, N, C), itself among them; beyond the border comes it again."""
     reach = side // 2
     padded = np.pad(picture, ((reach, reach), (reach, reach), (0, 0)), mode="edge")

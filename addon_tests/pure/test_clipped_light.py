@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from xihenet.clipped_light import clipped_sh, relative_noise
-from xihenet.mirror_ball import ball_directions, project_mirror_ball
+from xihenet.mirror_ball import ball_directions, neighbours, project_mirror_ball
 
 SIZE, SAMPLES = 64, 8
 DIRECTIONS, ON_BALL = ball_directions(SIZE)
@@ -148,3 +148,37 @@ def test_a_lamp_that_rays_reach_by_chance_through_fog_is_as_white_as_it_is_and_n
     off = [np.linalg.norm(light - expected) / np.linalg.norm(expected) for light in found]
     assert off[0] < 0.1 and off[1] > 0.5 and np.array_equal(found[1], found[2])
     assert found[0][0, 0] < expected[0, 0]
+
+
+def plainly_clipped(radiance, emission, smooth):
+    """The same for every pixel of every picture, with a median of colours."""
+
+    def mean_around(pictures, is_counted):
+        counts = neighbours(np.sum(is_counted, axis=0, dtype=np.float32), 3).sum(axis=0)
+        return neighbours(np.sum(pictures, axis=0), 3).sum(axis=0) / np.maximum(counts, 1)
+
+    is_lamp = [met.max(axis=-1, keepdims=True) > 0 for met in emission]
+    no_lamp, seen = np.logical_not(is_lamp), np.where(is_lamp, 0, radiance)
+    judge = np.median(neighbours(mean_around(seen, no_lamp), 5), axis=0) if smooth is None else smooth
+    is_near_lamp, lights = neighbours(np.any(is_lamp, axis=0), 3).any(axis=0), []
+    for n in range(len(radiance)):
+        others = [k for k in range(len(radiance)) if k != n] or [n]
+        without = mean_around(seen[others], no_lamp[others])
+        is_white = np.where(is_lamp[n], emission[n], np.where(is_near_lamp, without, judge)) >= 1
+        lights.append(project_mirror_ball(np.where(is_white, 1, radiance[n])))
+    return lights
+
+
+@pytest.mark.parametrize("is_denoised", [False, True])
+@pytest.mark.parametrize(("size", "n"), [(64, 6), (9, 1), (2, 3)])
+def test_the_fast_way_is_the_plain_one(size, n, is_denoised):
+    """In quarters of white, whose sums are exact in whatever order; lamps on the rim and around single pixels."""
+    rng = np.random.default_rng(10)
+    for share in (0, 0.02, 0.5, 1):
+        met = rng.integers(7, size=(n, size, size, 3)) * (rng.random((size, size, 1)) < share) / 4
+        met = (met * (rng.random((n, size, size, 1)) < 0.7)).astype(np.float32)
+        radiance = (met + rng.integers(7, size=met.shape) / 4).astype(np.float32)
+        smooth = radiance.mean(axis=0) if is_denoised else None
+        np.testing.assert_allclose(
+            clipped_sh(radiance, met, smooth), plainly_clipped(radiance, met, smooth), rtol=1e-12
+        )
