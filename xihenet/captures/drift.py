@@ -28,7 +28,7 @@ from xihenet.camera import pixels_in_view, unproject_frame
 from xihenet.captures.capture import Capture
 from xihenet.captures.gain_graph import Pair, solve_gains
 from xihenet.captures.seen_again import away_from_edges, thinned
-from xihenet.colour import LINEAR_OF_CODE
+from xihenet.colour import LINEAR_OF_CODE, in_any_channel
 from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 
 DARKEST_CODE, BRIGHTEST_CODE = 12, 244  # Of 255. Below, one step is more than 9 % of the light; above, noise clips
@@ -89,6 +89,9 @@ class _Seen:
     codes: ArrayU8  # (K, 3)
     camera_m: ArrayF64  # (3,) world, from where they were seen
     shown_at: int  # index of the last frame that showed it
+
+    def __post_init__(self) -> None:
+        self.probes_m = self.points_m[thinned(np.arange(len(self.points_m)), N_PROBES)]
 
 
 class DriftFollower:
@@ -151,7 +154,7 @@ class DriftFollower:
         """(number of keyframes,) the share of each that the frame shows, by a few of its points."""
         if not self._keyframes:
             return np.zeros(0)
-        probes = [known.points_m[thinned(np.arange(len(known.points_m)), N_PROBES)] for known in self._keyframes]
+        probes = [known.probes_m for known in self._keyframes]
         owner = np.repeat(np.arange(len(probes)), [len(points) for points in probes])
         again, _ = _same_surface(np.concatenate(probes), frame, is_readable)
         return np.bincount(owner[again], minlength=len(probes)) / np.bincount(owner)
@@ -196,8 +199,8 @@ def _with(gains: ArrayF64, read: RgbdFrame) -> RgbdFrame:
 
 def _readable(frame: RgbdFrame) -> ArrayBool:
     """(H, W) where the depth is known and no edge, and no channel is near black or white."""
-    darkest, brightest = frame.srgb_u8.min(axis=2), frame.srgb_u8.max(axis=2)
-    return away_from_edges(frame.plane_depth_m) & (darkest >= DARKEST_CODE) & (brightest <= BRIGHTEST_CODE)
+    is_extreme = (frame.srgb_u8 < DARKEST_CODE) | (frame.srgb_u8 > BRIGHTEST_CODE)
+    return away_from_edges(frame.plane_depth_m) & ~in_any_channel(is_extreme)[..., 0]
 
 
 def _same_surface(points_m: ArrayF32 | ArrayF64, frame: RgbdFrame, is_readable: ArrayBool) -> tuple[ArrayInt, ArrayInt]:
