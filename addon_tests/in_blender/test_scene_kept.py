@@ -184,6 +184,21 @@ def test_a_camera_that_a_marker_brings_at_the_rendered_frame_does_not_stay():
     assert scene.camera == usual
 
 
+def test_views_look_through_their_scenes_camera_though_a_copy_has_come_to_a_marker_with_another():
+    scene = walk(4)
+    usual, other = scene.camera, phone(scene, (0, -1, 1), (0, 0, 1), "Other")
+    for frame, camera in ((1, usual), (3, other)):
+        scene.timeline_markers.new("switch", frame=frame).camera = camera
+    scene.frame_set(1)
+    usual.location.x += 0.37
+    (view,) = (area.spaces.active for area in bpy.context.window.screen.areas if area.type == "VIEW_3D")
+    assert view.camera == usual
+    with nothing_changes(), working_scene(scene, "Working", RenderSettings((8, 6), samples=1)) as working:
+        working.frame_set(4)
+        assert working.camera == other
+    assert view.camera == usual
+
+
 @pytest.mark.slow
 def test_the_scene_is_as_it_was_after_runs_and_after_what_they_added_is_removed(tmp_path):
     scene = lived_in_scene()

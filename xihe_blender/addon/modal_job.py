@@ -20,6 +20,7 @@ from xihe_blender.addon.failures import FAILURES, failed
 from xihe_blender.addon.leftovers import remove_working_scenes
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress, TimeLeft
+from xihe_blender.scene.state import look_through_own_cameras
 from xihenet.formats import format_duration
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ class RunUnderWay:
         except BaseException:
             self.end()
             raise
+        look_through_own_cameras()
         self.show(progress)
         return False
 

@@ -48,6 +48,19 @@ def remove_copied_scene(copy: bpy.types.Scene) -> None:
     bpy.data.scenes.remove(copy)
     for action in actions:
         bpy.data.actions.remove(action)
+    look_through_own_cameras()
+
+
+def look_through_own_cameras() -> None:
+    """Have every 3D view look through the camera of the scene that its window shows.
+
+    A copy that comes to a marker with another camera has all views look through that one.
+    """
+    for window in (window for manager in bpy.data.window_managers for window in manager.windows):
+        views = [area.spaces.active for area in window.screen.areas if area.type == "VIEW_3D"]
+        scene = window.scene
+        if scene.library is None and any(v.camera != scene.camera and not v.use_local_camera for v in views):
+            scene.camera = scene.camera  # Views follow what is set, and what they look through cannot be set alone.
 
 
 def users_name(scene: bpy.types.Scene) -> str:
