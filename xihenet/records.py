@@ -81,8 +81,8 @@ class Intrinsics:
     cy: float
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"Intrinsics: the image needs at least one pixel, got {self.width} x {self.height}")
+        if not all(side >= 1 and side % 1 == 0 for side in (self.width, self.height)):
+            raise ValueError(f"Intrinsics: expected whole pixels, one at least, got {self.width} x {self.height}")
         if not all(SHORTEST_FOCAL_PX <= focal <= FARTHEST_PX for focal in (self.fx, self.fy)):
             raise ValueError(
                 f"Intrinsics: focal lengths must be positive, {SHORTEST_FOCAL_PX:g} to {FARTHEST_PX:g} pixels, got "

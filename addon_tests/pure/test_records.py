@@ -68,7 +68,7 @@ def test_a_frame_that_makes_no_sense_is_refused(changes, message):
     [
         *((0, 3, 1, 1, 0, 0), (4, 3, 0, 1, 0, 0), (4, 3, 1, np.inf, 0, 0), (4, 3, 1, 1, np.nan, 0)),
         *((4, 3, 5e-324, 1, 2, 0), (4, 3, 1, 1e-42, 2, 0), (4, 3, 1e300, 1e300, 2, 0), (4, 3, np.nan, 1, 0, 0)),
-        *((4, 3, 1, 1, -1e300, 0), (4, 3, 1, 1, 0, 1e30)),
+        *((4, 3, 1, 1, -1e300, 0), (4, 3, 1, 1, 0, 1e30), (2.5, 3, 1, 1, 0, 0), (4, np.nan, 1, 1, 0, 0)),
     ],
 )
 def test_intrinsics_that_make_no_sense_are_refused(wrong):
