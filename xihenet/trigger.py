@@ -97,8 +97,8 @@ class TriggerSettings:
     def __post_init__(self) -> None:
         if self.policy not in (policies := get_args(Policy)):
             raise ValueError(f"TriggerSettings.policy: expected one of {', '.join(policies)}, got {self.policy!r}")
-        if self.n_neighbours < 1:
-            raise ValueError(f"TriggerSettings.n_neighbours: expected at least 1, got {self.n_neighbours}")
+        if not (isinstance(self.n_neighbours, int | np.integer) and self.n_neighbours >= 1):
+            raise ValueError(f"TriggerSettings.n_neighbours: expected a whole number >= 1, got {self.n_neighbours}")
         for name in ("theta", "coverage_theta", "hysteresis", "light_theta"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"TriggerSettings.{name}: expected a number >= 0, got {getattr(self, name)}")

@@ -68,6 +68,7 @@ def test_a_few_noisy_anchors_can_be_set_aside():
         {"same_distance": 0},
         {"agreeing_share": 1.1},
         {"light_theta": np.nan},
+        *({"n_neighbours": n} for n in (0, 2.5, np.nan, np.inf)),
     ],
 )
 def test_settings_out_of_range_are_refused(wrong):
