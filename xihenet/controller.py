@@ -76,6 +76,10 @@ class ControllerSettings:
             raise ValueError(
                 f"ControllerSettings.between_estimates: expected 'carried' or 'kept', got {self.between_estimates!r}"
             )
+        if self.reference_exposure is not None and not 0 < self.reference_exposure < np.inf:
+            raise ValueError(
+                f"ControllerSettings.reference_exposure: expected a positive factor, got {self.reference_exposure}"
+            )
 
 
 class XiheController:

@@ -184,9 +184,12 @@ def test_in_the_frame_of_an_estimate_nothing_is_carried():
         np.testing.assert_array_equal(controller.light("Ball").sh_radiance, estimate.sh_radiance)
 
 
-def test_a_word_for_something_else_is_refused():
-    with pytest.raises(ValueError, match="between_estimates"):
-        ControllerSettings(between_estimates="faded")
+@pytest.mark.parametrize(
+    "wrong", [{"between_estimates": "faded"}, *({"reference_exposure": factor} for factor in (0, -1, np.nan, np.inf))]
+)
+def test_a_session_that_makes_no_sense_is_refused_before_its_first_frame(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        ControllerSettings(**wrong)
 
 
 # -------------------------------------------------------------------------------------------------------- late answers
