@@ -254,7 +254,7 @@ class AnchorSurfaces:
     ----------
     facing : (N,) float32, cosine between the surface's normal, on the side that the camera saw, and the direction from
         the surface to the position, against the anchor's own: 1 faces the position, below 0 it would see the other
-        side. Known where a neighbour along each axis of the picture is of the same surface, elsewhere 0
+        side. Known where a neighbour along each axis of the picture is of the same surface, elsewhere 0 (or NaN)
     camera_distance_m : (N,) float32, from the camera to the surface
     view_direction : (N, 3) float32, unit, from the surface to the camera: under which angle its colour was seen
     """
@@ -266,6 +266,8 @@ class AnchorSurfaces:
     def __post_init__(self) -> None:
         _keep(self, np.float32, facing=(None,))
         _keep(self, np.float32, camera_distance_m=(len(self),), view_direction=(len(self), 3))
+        if (np.abs(self.facing) > 1).any():
+            raise ValueError("AnchorSurfaces.facing: expected cosines from -1 to 1, got values outside")
 
     def __len__(self) -> int:
         return len(self.facing)

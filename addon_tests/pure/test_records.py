@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xihenet.records import Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, Intrinsics, PointCloud, RgbdFrame, UnitSphereCloud
 
 PINHOLE = Intrinsics(4, 3, 2.0, 2.0, 2.0, 1.5)
 
@@ -92,6 +92,13 @@ def test_intrinsics_that_make_no_sense_are_refused(wrong):
 def test_a_cloud_that_makes_no_sense_is_refused(srgb, distance_m, is_set, message):
     with pytest.raises(ValueError, match=message):
         UnitSphereCloud(srgb, distance_m, is_set)
+
+
+@pytest.mark.parametrize("facing", [1.1, -5, np.inf])
+def test_surfaces_that_face_the_position_by_no_cosine_are_refused(facing):
+    assert len(AnchorSurfaces.of_facing([-1, 1, np.nan])) == 3
+    with pytest.raises(ValueError, match="facing: expected cosines from -1 to 1"):
+        AnchorSurfaces.of_facing([facing])
 
 
 def test_a_set_anchor_may_be_black_and_at_distance_zero():
