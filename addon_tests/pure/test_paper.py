@@ -52,6 +52,13 @@ def test_rooms_are_drawn_whole_so_that_frames_alike_add_no_certainty():
     assert by_room.high - by_room.low > 4 * (by_frame.high - by_frame.low)
 
 
+@pytest.mark.parametrize("statistic", [np.mean, np.median, np.std])
+def test_all_draws_at_once_give_what_each_gives_alone(statistic):
+    values = np.random.default_rng(4).normal(size=150)
+    alone = measured(values, np.random.default_rng(5), statistic=lambda drawn: statistic(drawn))
+    assert measured(values, np.random.default_rng(5), statistic=statistic) == alone
+
+
 WRONG = {"unit": "", "n": 0, "low": 2.0, "high": float("nan"), "work": "much the same", "series": "without a place"}
 
 

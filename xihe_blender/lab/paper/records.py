@@ -23,6 +23,8 @@ from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 
 Work = Literal["same work", "other data", "other machine", "cannot be compared"]
 N_DRAWS = 2000
+DRAWN_AT_ONCE = 2**18  # Cases, so that many of them take little memory
+OF_ROWS: tuple[Callable[..., Any], ...] = (np.mean, np.median, np.std)  # Asked of all draws at once
 
 
 class Measured(NamedTuple):
@@ -198,7 +200,7 @@ def measured(
     rng: np.random.Generator,
     *,
     groups: Sequence[Hashable] | None = None,
-    statistic: Callable[[NDArray[Any]], Any] = np.mean,
+    statistic: Callable[..., Any] = np.mean,
 ) -> Measured:
     """`statistic` of the N cases, rows of an array, and its interval by bootstrap.
 
@@ -213,10 +215,15 @@ def measured(
     drawn = np.array([numbers[group] for group in groups]) if groups and len(numbers) > 1 else np.arange(len(rows))
     n_drawn = int(drawn.max()) + 1
     members = [np.flatnonzero(drawn == number) for number in range(n_drawn)]
-    values = []
-    for _ in range(N_DRAWS):
-        draw = rng.integers(n_drawn, size=n_drawn)
-        values.append(statistic(rows[draw if n_drawn == len(rows) else np.concatenate([members[k] for k in draw])]))
+    values: list[float] = []
+    for n_draws in map(len, np.array_split(np.arange(N_DRAWS), -(-N_DRAWS * n_drawn // DRAWN_AT_ONCE))):
+        draws = rng.integers(n_drawn, size=(n_draws, n_drawn))
+        if n_drawn < len(rows):
+            values += [statistic(rows[np.concatenate([members[k] for k in draw])]) for draw in draws]
+        elif rows.ndim == 1 and statistic in OF_ROWS:
+            values += statistic(rows[draws], axis=1).tolist()
+        else:
+            values += [statistic(rows[draw]) for draw in draws]
     tail, value = expanded_tail(n_drawn), float(statistic(rows))
     low, high = np.quantile(values, [tail, 1 - tail])
     return Measured(value, min(float(low), value), max(float(high), value), len(rows))
