@@ -12,9 +12,13 @@ def test_nothing_hides_a_warning_without_a_comment_on_why():
     files = [file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")]
     n_hidden = 0
     for file in files:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        content = file.read_text(encoding="utf-8")
+        if not HIDES.search(content):
+            continue
+        lines = content.splitlines()
         for above, line in zip(["", *lines], lines, strict=False):
-            is_told = "#" in line or above.lstrip().startswith("#")
-            n_hidden += bool(HIDES.search(line))
-            assert is_told or not HIDES.search(line), f"{file}: {line.strip()} hides a warning and does not say why"
+            if HIDES.search(line):
+                n_hidden += 1
+                is_told = "#" in line or above.lstrip().startswith("#")
+                assert is_told, f"{file}: {line.strip()} hides a warning and does not say why"
     assert n_hidden > 10
