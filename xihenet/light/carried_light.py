@@ -97,12 +97,11 @@ class CarriedLight:
         if (self.gain == 1).all():
             return base
         lit = srgb_to_linear(base.srgb.astype(np.float64)) * self.gain
-        return replace(base, srgb=linear_to_srgb(lit))
+        return UnitSphereCloud.trusted(linear_to_srgb(lit).astype(np.float32), base.distance_m, base.is_set, {}, None)
 
 
 def _only(cloud: UnitSphereCloud, kept: ArrayBool) -> UnitSphereCloud:
-    srgb, distance_m = cloud.srgb * kept[:, None], cloud.distance_m * kept
-    return replace(cloud, srgb=srgb, distance_m=distance_m, is_set=kept, surfaces=None)
+    return UnitSphereCloud.trusted(cloud.srgb * kept[:, None], cloud.distance_m * kept, kept, {}, None)
 
 
 def _seen_again(base: UnitSphereCloud, frame: UnitSphereCloud, directions: ArrayF64) -> ArrayBool:
