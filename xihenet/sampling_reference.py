@@ -6,7 +6,7 @@ The rules and their reasons are in `sampling` and `patches`.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,6 +116,7 @@ class PlainPicture:
     is_usable: ArrayBool  # (P,) neither at the position nor without a place or a colour
     anchors: ArrayInt  # (P,) nearest to each
     camera: ArrayF64  # (3,)
+    borders: dict[tuple[int, int], tuple[ArrayF64, ArrayF64]] = field(default_factory=dict)  # That were asked for
 
     def patch_points(self, winners: ArrayInt) -> list[tuple[int, ArrayF64]]:
         """The points of all patches that are cut, each with its pixel.
@@ -148,11 +149,10 @@ class PlainPicture:
             pixel = int(pixels[anchor])
             point = self.points[pixel]
             (left, right), (up, down) = (self._to_border(pixel, axis) for axis in (0, 1))
-            to_camera, normal = self.camera - point, np.cross(right - left, down - up)
+            to_camera, normal = self.camera - point, _unit(np.cross(right - left, down - up))
             camera_distance_m[anchor] = np.linalg.norm(to_camera)
             view_direction[anchor] = _unit(to_camera)
-            cosine = _unit(normal) @ _unit(to_camera)
-            facing[anchor] = -np.copysign(1, cosine) * (_unit(normal) @ directions[anchor])
+            facing[anchor] = -np.copysign(1, normal @ _unit(to_camera)) * (normal @ directions[anchor])
         return AnchorSurfaces(facing, camera_distance_m, view_direction)
 
     def _is_sparse(self, pixel: int) -> bool:
@@ -170,6 +170,11 @@ class PlainPicture:
 
     def _to_border(self, pixel: int, axis: int) -> tuple[ArrayF64, ArrayF64]:
         """From a pixel's point to its borders before and after along an axis of the picture."""
+        if (pixel, axis) not in self.borders:
+            self.borders[pixel, axis] = self._found_border(pixel, axis)
+        return self.borders[pixel, axis]
+
+    def _found_border(self, pixel: int, axis: int) -> tuple[ArrayF64, ArrayF64]:
         line = [self._neighbour(pixel, axis, step) for step in range(-2, 3)]
         from_camera = self.points[line] - self.camera
         with np.errstate(all="ignore"):  # Of neighbours that do not count.
