@@ -146,24 +146,27 @@ def rendered_reflections(ball: ArrayF32, lattice: AnchorLattice) -> Reflections:
 
 
 def _faded(difference: ArrayF64, seen: ArrayBool, around: ArrayInt) -> ArrayF64:
-    """(N, 3) `difference` where it is known, fading away from there: ring by ring, then smoothed."""
-    faded, known = difference.copy(), seen.copy()
+    """(N, 3) `difference` where it is known, fading away from there: ring by ring, then smoothed.
+
+    Sums are over the first axis: over a short one in the middle NumPy takes three times as long.
+    """
+    faded, known = np.where(seen[:, None], difference, 0.0), seen.copy()
     kept = float(np.exp(-np.sqrt(4 * np.pi / max(1, len(seen))) / FADES_OVER))
-    left = np.flatnonzero(~seen)
-    beside = around[left, 1:]
+    filled = left = np.flatnonzero(~seen)
+    together = around[filled].T.copy()
+    beside = together[1:]
     while len(left) and known.any():
-        is_known = known[beside]
-        n_known = is_known.sum(axis=1)
-        ring = n_known > 0
-        if not ring.any():
+        n_known = known.take(beside).sum(axis=0, dtype=np.int8)
+        is_ring = n_known > 0
+        ring, n_known = left[is_ring], n_known[is_ring]
+        if not len(ring):
             break
-        total = (faded[beside[ring]] * is_known[ring, :, None]).sum(axis=1)
-        faded[left[ring]] = kept * total / n_known[ring, None]
-        known[left[ring]] = True
-        left, beside = left[~ring], beside[~ring]
-    filled = np.flatnonzero(~seen)
+        # What is not known is 0.
+        faded[ring] = kept * faded.take(beside.compress(is_ring, axis=1), axis=0).sum(axis=0) / n_known[:, None]
+        known[ring] = True
+        left, beside = left[~is_ring], beside.compress(~is_ring, axis=1)
     for _ in range(N_SMOOTHED if seen.any() else 0):
-        faded[filled] = faded[around[filled]].mean(axis=1)
+        faded[filled] = faded.take(together, axis=0).mean(axis=0)
     return faded
 
 
