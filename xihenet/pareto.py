@@ -60,12 +60,11 @@ def front_share(
         raise ValueError(f"front_share: expected (P, C) and (R, C), got {squares.shape} and {rounds.shape}")
     if not (len(squares) and len(rounds) and n_resamples > 0):
         raise ValueError("front_share: expected a place, a round and a resample at least, got none")
-    count = np.zeros(squares.shape[1])
-    for _ in range(n_resamples):
-        error = np.sqrt(squares[rng.integers(len(squares), size=len(squares))].mean(axis=0))
-        cost = np.median(rounds[rng.integers(len(rounds), size=len(rounds))], axis=0)
-        count += on_front(error, cost)
-    return count / n_resamples
+    drawn_places, drawn_rounds = (rng.integers(n, size=(n_resamples, n)) for n in (len(squares), len(rounds)))
+    # All at once: one after the other took four times as long.
+    resampled = zip(np.sqrt(squares[drawn_places].mean(axis=1)), np.median(rounds[drawn_rounds], axis=1), strict=True)
+    share: ArrayF64 = np.mean([on_front(error, cost) for error, cost in resampled], axis=0)
+    return share
 
 
 def _checked(errors: ArrayLike, costs: ArrayLike) -> tuple[ArrayF64, ArrayF64]:
