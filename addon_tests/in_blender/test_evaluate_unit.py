@@ -31,6 +31,8 @@ SMALL = BatchSettings(
     frames=(1, 3, 4, 5),
     light="sh+key+reflections",
 )
+FEWER = replace(SMALL, estimators=("projection",), frames=(1, 4), light="sh")
+"""For what happens while a unit is made."""
 
 SEED = 1
 
@@ -62,8 +64,14 @@ def whole(file, tmp_path_factory):
         return run_blocking(job), renders
 
 
-def unit_of(file, folder):
-    return evaluate_unit(file, folder, SMALL, SEED)
+@pytest.fixture(scope="module")
+def fewer(file, tmp_path_factory):
+    """An undisturbed unit of `FEWER`."""
+    return run_blocking(unit_of(file, tmp_path_factory.mktemp("fewer"), FEWER))
+
+
+def unit_of(file, folder, settings=SMALL):
+    return evaluate_unit(file, folder, settings, SEED)
 
 
 def trial_of(unit, phone, estimator):
@@ -101,25 +109,25 @@ def test_a_unit_that_a_scheduler_finished_meanwhile_is_not_made_again(tmp_path, 
 
 
 @pytest.mark.slow
-def test_a_unit_that_a_scheduler_finishes_while_it_is_made_again_is_done(tmp_path, whole, file):
+def test_a_unit_that_a_scheduler_finishes_while_it_is_made_again_is_done(tmp_path, fewer, file):
     class Shares(io.StringIO):
         def write(self, text):
             if list(tmp_path.rglob("compared_*.json")):
-                write_json(result_file(tmp_path), as_json(whole[0]))
+                write_json(result_file(tmp_path), as_json(fewer))
                 shutil.rmtree(tmp_path / "work", ignore_errors=True)
             return super().write(text)
 
-    write_result(file, SEED, tmp_path, SMALL, Shares())
-    assert read_result(tmp_path, file) == whole[0]
+    write_result(file, SEED, tmp_path, FEWER, Shares())
+    assert read_result(tmp_path, file) == fewer
 
 
 @pytest.mark.slow
-def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, whole, file):
-    with contextlib.closing(unit_of(file, tmp_path)) as job:
+def test_a_unit_that_was_stopped_goes_on_and_comes_to_the_same(tmp_path, fewer, file):
+    with contextlib.closing(unit_of(file, tmp_path, FEWER)) as job:
         while not list(tmp_path.rglob("compared_*.json")):
             next(job)
     there = files_below(tmp_path)
-    assert run_blocking(unit_of(file, tmp_path)).trials == whole[0].trials
+    assert run_blocking(unit_of(file, tmp_path, FEWER)).trials == fewer.trials
     captures = [name for name in there if "capture_" in name]
     assert captures and all(files_below(tmp_path)[name] == there[name] for name in captures)
 
