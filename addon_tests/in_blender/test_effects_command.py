@@ -96,6 +96,7 @@ VARIANTS = costs._variants
 def few_costs(names, n_seeds):
     """Costs of `names` alone, from `n_seeds` small renders of each side."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(costs, "PICTURE", replace(costs.PICTURE, size=(24, 18)))
         patch.setattr(costs, "ProbeSettings", lambda size, **others: ProbeSettings(size // 3, **others))
         patch.setattr(costs, "N_SEEDS", n_seeds)
         patch.setattr(costs, "APART_SEEDS", n_seeds)
