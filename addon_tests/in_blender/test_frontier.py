@@ -20,7 +20,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.kept_files import DAMAGED
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.choices import QUICK, render_choices
+from xihe_blender.lab.frontier.choices import LARGE_TABLE, QUICK, compute_choices, render_choices
 from xihe_blender.lab.frontier.pictures import LIGHTS, kept_pictures, picture_choices
 from xihe_blender.lab.frontier.points import family, group, groups, kept_scene
 from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, RenderChoice, StudySize
@@ -31,14 +31,20 @@ from xihe_blender.scene.blend_file import open_blend
 from xihenet.io.json_files import read_json
 from xihenet.pareto import on_front
 
-TINY = StudySize(2, 1, 1, 2, 1, 2, 4, (1, 2), 1)
+TINY = StudySize(2, 1, 1, 1, 1, 2, 4, (1, 2), 1)
 SMALL = FrontierSettings(is_quick=True, size=(32, 24), study_size=TINY)
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_rays():
-    """Light probes and pictures of few rays: what is asked is not how good they are."""
+def little_to_do():
+    """Light probes and pictures of few rays, and not all ways to compute: not asked are how good they are.
+
+    All ways to compute are walked through in `test_frontier_compute`.
+    """
+    ways = compute_choices(is_quick=True)
+    quick = [way for way in ways if way.cells != LARGE_TABLE and way.estimator not in ("xihenet", "pointar")]
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("xihe_blender.lab.frontier.study.compute_choices", lambda *, is_quick: quick)
         patch.setattr("xihe_blender.lab.frontier.study.ProbeSettings", partial(ProbeSettings, size=24))
         patch.setattr("xihe_blender.lab.frontier.pictures.LADDER", (1, 3))
         for name, samples in (("draft", 1), ("balanced", 2), ("accurate", 4)):
