@@ -71,7 +71,7 @@ def paired_difference(
     difference = a - b
     if not np.isfinite(difference).all():
         raise ValueError("paired_difference: expected finite values")
-    names = {group: place for place, group in enumerate(dict.fromkeys(groups))}
+    names = {group: index for index, group in enumerate(dict.fromkeys(groups))}
     drawn = [names[group] for group in groups] if len(names) > 1 else list(range(len(a)))
     low, high = _interval(difference, np.array(drawn), rng)
     lower, higher = float(np.mean(difference < 0)), float(np.mean(difference > 0))

@@ -23,9 +23,9 @@ def on_front(errors: ArrayLike, costs: ArrayLike) -> ArrayBool:
     error, cost = _checked(errors, costs)
     is_on_front = np.zeros(len(error), bool)
     best_error, its_cost = np.inf, np.inf
-    for place, choice in enumerate(np.lexsort((error, cost))):
+    for index, choice in enumerate(np.lexsort((error, cost))):
         is_tie = error[choice] == best_error and cost[choice] == its_cost
-        if place == 0 or error[choice] < best_error or is_tie:
+        if index == 0 or error[choice] < best_error or is_tie:
             is_on_front[choice] = True
             best_error, its_cost = error[choice], cost[choice]
     return is_on_front

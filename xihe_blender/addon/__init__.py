@@ -40,11 +40,11 @@ def register(package: str) -> None:
     """Register everything; `package` is the name by which Blender knows the add-on, for its preferences."""
     modules = _modules()
     importlib.import_module(f"{__name__}.preferences").XihePreferences.bl_idname = package
-    for place, module in enumerate(modules):
+    for index, module in enumerate(modules):
         try:
             module.register()
         except Exception:
-            _unregister(modules[:place])
+            _unregister(modules[:index])
             raise
         for handlers, called in _handlers(module):
             handlers.append(called)

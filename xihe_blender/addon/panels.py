@@ -505,8 +505,8 @@ def sentence(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, 
     """Labels that hold `text`, wrapped at the sidebar's width."""
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for place, line in enumerate(wrapped(as_sentence(text), line_length(context, has_icon=icon != "NONE"))):
-        column.label(text=line, icon=icon if place == 0 else "BLANK1" if icon != "NONE" else "NONE", translate=False)
+    for index, line in enumerate(wrapped(as_sentence(text), line_length(context, has_icon=icon != "NONE"))):
+        column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE", translate=False)
 
 
 def wrapped(text: str, length: int) -> list[str]:

@@ -294,10 +294,10 @@ def _compose(lit: bpy.types.Scene, image: bpy.types.Image, frames: CapturedFrame
     exposed.inputs["Exposure"].default_value = -math.log2(frames.exposure)
     tree.links.new(_opaque(tree, scale.outputs[0]), exposed.inputs["Image"])
     picture = exposed.outputs[0]
-    for place, layer in enumerate(lit.view_layers):
+    for index, layer in enumerate(lit.view_layers):
         rendered, over = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeAlphaOver")
         rendered.scene, rendered.layer = lit, layer.name
-        rendered.location, over.location = (0, -300 * (place + 1)), (300 + 200 * place, 0)
+        rendered.location, over.location = (0, -300 * (index + 1)), (300 + 200 * index, 0)
         below, above = [socket for socket in over.inputs if socket.type == "RGBA"]
         tree.links.new(picture, below)
         tree.links.new(rendered.outputs["Image"], above)

@@ -210,5 +210,5 @@ def _write_sum(group: bpy.types.NodeTree) -> None:
     terms = [scaled(inputs[name], factor) for name, factor in zip(COEFFICIENTS, basis, strict=True)]
     total = functools.reduce(functools.partial(computed, "ShaderNodeVectorMath", "ADD"), terms)
     group.links.new(scaled(total, inputs[GAIN]), group.nodes.new("NodeGroupOutput").inputs[0])
-    for place, node in enumerate(group.nodes):
-        node.location = (180 * (place // 8), -160 * (place % 8))
+    for index, node in enumerate(group.nodes):
+        node.location = (180 * (index // 8), -160 * (index % 8))

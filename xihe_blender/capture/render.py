@@ -261,7 +261,7 @@ def _whole_picture(scene: bpy.types.Scene, path: Path) -> dict[str, dict[str, Ar
     for passes in layers.values():
         for name in [key.removesuffix(".R") for key in passes if key.endswith(".R")]:
             rgb = in_rec709(stacked_rgb(passes, name))
-            passes |= {f"{name}.{channel}": rgb[..., place] for place, channel in enumerate("RGB")}
+            passes |= {f"{name}.{channel}": rgb[..., index] for index, channel in enumerate("RGB")}
     metres = metres_per_unit(scene)
     for passes in layers.values() if metres != 1 else ():
         plane_depth = passes["Depth.Z"]

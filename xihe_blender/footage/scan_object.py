@@ -24,13 +24,13 @@ def frames_to_scan(capture: Capture) -> set[int]:
     """Places in the recording of the frames that are scanned: those after the camera has moved or turned."""
     chosen: set[int] = set()
     last = None
-    for place, frame in enumerate(capture.frames):
+    for index, frame in enumerate(capture.frames):
         pose = frame.camera.world_from_camera
         if last is not None:
             turned_rad = np.arccos(np.clip((np.trace(last[:3, :3].T @ pose[:3, :3]) - 1) / 2, -1, 1))
             if turned_rad < TURNED_RAD and np.linalg.norm(pose[:3, 3] - last[:3, 3]) < MOVED_M:
                 continue
-        chosen.add(place)
+        chosen.add(index)
         last = pose
     return chosen
 

@@ -61,15 +61,15 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
         # A name may hold what the terminal has no sign for: it is not worth the end of a run.
         streams = [
             io.TextIOWrapper(
-                io.BufferedWriter(_Heedless(os.dup(place), keeping=place == 1)),
+                io.BufferedWriter(_Heedless(os.dup(descriptor), keeping=descriptor == 1)),
                 errors="backslashreplace",
-                line_buffering=os.isatty(place),
+                line_buffering=os.isatty(descriptor),
             )
-            for place in (1, 2)
+            for descriptor in (1, 2)
         ]
-        for place, stream in enumerate(streams, start=1):
+        for descriptor, stream in enumerate(streams, start=1):
             stack.callback(stream.close)
-            stack.callback(os.dup2, stream.fileno(), place)
+            stack.callback(os.dup2, stream.fileno(), descriptor)
         aside = os.dup(2) if os.environ.get("XIHE_VERBOSE") else os.open(os.devnull, os.O_WRONLY)
         stack.callback(os.close, aside)
         os.dup2(aside, 1)

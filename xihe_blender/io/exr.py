@@ -23,4 +23,4 @@ def write_radiance(path: Path, radiance: ArrayF32) -> None:
     """Write (H, W, 3) linear Rec.709 as channels R, G, B; whole or not at all. OSError if it cannot be written."""
     pixels = np.asarray(radiance, np.float32)
     with written_whole(path) as beside:
-        write_exr(beside, {c: pixels[..., place] for place, c in enumerate("RGB")})
+        write_exr(beside, {c: pixels[..., index] for index, c in enumerate("RGB")})

@@ -21,7 +21,7 @@ _HOW = (
 
 def write_budget_report(path: Path, results: BudgetResults) -> None:
     """One self-contained page."""
-    sections = [(f"object{place}", escape(item.name), _of_object(item)) for place, item in enumerate(results.objects)]
+    sections = [(f"object{index}", escape(item.name), _of_object(item)) for index, item in enumerate(results.objects)]
     sections.append(("parts", "What perfect means", _meaning()))
     heading = f"What would help: {escape(results.scene)}"
     write_document(path, document(heading, _opening(results), sections))
@@ -52,7 +52,7 @@ def _bars(item: ObjectBudget) -> str:
     gains = [100 * item.relative(part.gain) for part in parts]
     axis = _axis(min(0.0, *gains, *(max(100 * item.relative(part.low), -whole) for part in parts)), whole)
     height_px = ROW_PX * len(parts)
-    rows = "".join(_bar(axis, place * ROW_PX, item, part) for place, part in enumerate(parts))
+    rows = "".join(_bar(axis, index * ROW_PX, item, part) for index, part in enumerate(parts))
     now = svg.straight(axis.x(whole), 0, axis.x(whole), height_px, "limit")
     below = svg.axis_of(axis, "taken off the error, of the brightness; dotted: the whole error", height_px, grid=True)
     return svg.figure(

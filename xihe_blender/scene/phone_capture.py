@@ -93,26 +93,26 @@ def frames_a_second(times_s: Sequence[float]) -> int:
 
 
 def frames_of_times(times_s: Sequence[float]) -> dict[int, int]:
-    """By frame of the timeline, in order, the place in `times_s` of what was taken then.
+    """By frame of the timeline, in order, the index in `times_s` of what was taken then.
 
     What follows so closely that it falls onto a frame with the one before, or goes back in time, is left out. UserError
     for times so far apart that they are hardly seconds, or a clock was set between two.
     """
-    places = _frames_at(frames_a_second(times_s), times_s)
-    if max(places) > MOST_FRAMES_A_PICTURE * len(places):
+    indices = _frames_at(frames_a_second(times_s), times_s)
+    if max(indices) > MOST_FRAMES_A_PICTURE * len(indices):
         steps_s = [after - before for before, after in itertools.pairwise(times_s)]
         n_before = 1 + steps_s.index(max(steps_s))
         raise UserError(
             f"{max(steps_s):g} s pass between pictures {n_before} and {n_before + 1} of the recording: correct its "
             "times, which are seconds, or leave out the pictures before or after that"
         )
-    return places
+    return indices
 
 
 def _frames_at(fps: int, times_s: Sequence[float]) -> dict[int, int]:
-    places = {FIRST_FRAME: 0}
-    for place, time_s in enumerate(times_s):
+    indices = {FIRST_FRAME: 0}
+    for index, time_s in enumerate(times_s):
         number = FIRST_FRAME + round((time_s - times_s[0]) * fps)
-        if number > next(reversed(places)):
-            places[number] = place
-    return places
+        if number > next(reversed(indices)):
+            indices[number] = index
+    return indices

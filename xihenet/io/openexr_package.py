@@ -44,7 +44,7 @@ def read_by_package(path: Path, names: Collection[str] | None = None) -> dict[st
             raise ValueError(f"{path}: expected an OpenEXR file, and could not read it ({said[-1]})")
         with np.load(out) as stored:
             known = enumerate(stored["names"].tolist())
-            return {name: stored[f"channel_{place}"] for place, name in known if names is None or name in names}
+            return {name: stored[f"channel_{index}"] for index, name in known if names is None or name in names}
 
 
 def store_channels(path: str, out: str) -> None:
@@ -56,5 +56,5 @@ def store_channels(path: str, out: str) -> None:
         for part in file.parts:
             for name, channel in part.channels.items():
                 channels[name] = channel.pixels.astype(np.float32, copy=False)
-    arrays = {f"channel_{place}": pixels for place, pixels in enumerate(channels.values())}
+    arrays = {f"channel_{index}": pixels for index, pixels in enumerate(channels.values())}
     np.savez(out, names=np.array(list(channels), dtype=str), **arrays)

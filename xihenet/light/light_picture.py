@@ -108,9 +108,9 @@ def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256, margin:
     shown = np.where(sphere_mask(fine)[..., None], np.clip(three_spheres(light, fine), 0, 1), grey)
     spheres = shown.reshape(len(SPHERES), size, N_SUBPIXELS, size, N_SUBPIXELS, 3).mean(axis=(2, 4))
     top = 2 * margin + panorama_height
-    for place, sphere in enumerate(spheres):
+    for index, sphere in enumerate(spheres):
         # The last sphere ends where the panorama ends, also where a third is no whole number of pixels.
-        left = margin + round(place * (width - size) / 2)
+        left = margin + round(index * (width - size) / 2)
         page[top : top + size, left : left + size] = sphere
     return np.rint(linear_to_srgb(page) * 255).astype(np.uint8)
 

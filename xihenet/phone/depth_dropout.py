@@ -43,7 +43,7 @@ class SurfaceFacts:
         return self
 
     def taken_from(self, source: ArrayInt) -> SurfaceFacts:
-        """The facts of pixels `source` (H, W), each a place in row order."""
+        """The facts of pixels `source` (H, W), each an index in row order."""
         known = {name: values for name, values in vars(self).items() if values is not None}
         flat = {name: values.reshape(source.size, *values.shape[2:]) for name, values in known.items()}
         return SurfaceFacts(**{name: values[source] for name, values in flat.items()})

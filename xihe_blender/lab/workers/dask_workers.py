@@ -113,11 +113,11 @@ class DaskWorkers:
         """
         self.client.subscribe_topic(TOPIC, self._hear)
         futures: dict[str, Future[str | None]] = {}
-        for place, one in enumerate(work):
+        for index, one in enumerate(work):
             once = {"key": f"{one.name}-{time.time_ns()}", "pure": False}
             if self.is_local:
                 one = replace(one, program=own_program(one.module))
-            futures[one.name] = self.client.submit(run_module, one, priority=-place, retries=N_RETRIES, **once)
+            futures[one.name] = self.client.submit(run_module, one, priority=-index, retries=N_RETRIES, **once)
         try:
             yield from self._watched(futures, noun)
         finally:
