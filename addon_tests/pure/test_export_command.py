@@ -143,6 +143,12 @@ def test_what_cannot_be_written_is_one_line_and_no_file(run, arguments, words):
     assert not (run / "exports").exists()
 
 
+@pytest.mark.parametrize("name", ["lost.json", "seen.exr"])
+def test_a_name_without_a_run_behind_it_is_answered_with_what_to_give(run, name):
+    asked = xihe_here("export", run / name, "--to", "three")
+    assert_refused(asked, f"{name} is no run: give the run's folder, or the results.json in it")
+
+
 def test_a_blend_in_place_of_a_run_is_to_be_given_as_a_file(run):
     asked = xihe_here("export", run / "room_lit.blend", "--to", "three")
     assert_refused(asked, "room_lit.blend is no run: give the run's RESULTS.json, or this file by --from")

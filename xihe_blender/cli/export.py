@@ -67,7 +67,10 @@ def _folder(options: argparse.Namespace) -> Path:
     given: Path = options.results
     if given.suffix == ".blend":
         raise UserError(f"{given} is no run: give the run's RESULTS.json, or this file by --from")
-    return given.parent if given.name == "results.json" else given
+    folder = given.parent if given.name == "results.json" else given
+    if not folder.is_dir():
+        raise UserError(f"{given} is no run: give the run's folder, or the results.json in it")
+    return folder
 
 
 def _asked(options: argparse.Namespace) -> LightsAsked:
