@@ -67,7 +67,7 @@ def test_replay_gives_the_frames_in_the_order_of_recording(tmp_path):
     frames = [random_frame(seed) for seed in (7, 3, 5)]
     for frame in frames:
         recorder.record(frame)
-    scanner = ReplayScanner(tmp_path / "walk")
+    scanner = ReplayScanner(str(tmp_path / "walk"))
     assert len(scanner) == 3
     for frame in frames:
         assert_same(scanner.acquire_environment_scan(), frame)

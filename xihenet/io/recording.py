@@ -284,8 +284,8 @@ class ReplayScanner:
     FileNotFoundError if `folder` holds none; `acquire_environment_scan` raises StopIteration after the last.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.files: Sequence[Path] = sorted(folder.glob(FRAME_FILES))
+    def __init__(self, folder: str | Path) -> None:
+        self.files: Sequence[Path] = sorted(Path(folder).glob(FRAME_FILES))
         if not self.files:
             raise FileNotFoundError(f"{folder}: no recorded frames ({FRAME_FILES}) in this folder")
         self._frames = iter(self)
