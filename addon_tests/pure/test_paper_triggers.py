@@ -87,14 +87,19 @@ def test_a_session_is_walked_as_the_chain_walks_it(rule, policy):
     )
     for place in session.places:
         chain.add_position(place.name, place.position_m)
-    fired = {place.name: 0 for place in session.places}
-    for frame in session.frames:
-        for name, report in chain.step(frame, active=list(fired)).items():
-            fired[name] += report.decision.fire
-    followed = trigger_sessions.follow(session, LATTICE)
+    names = [place.name for place in session.places]
+    followed = dict(zip(names, trigger_sessions.follow(session, LATTICE), strict=True))
+    n_fired = dict.fromkeys(followed, 0)
+    for k, frame in enumerate(session.frames):
+        for name, report in chain.step(frame, active=list(followed)).items():
+            n_fired[name] += report.decision.fire
+            if report.decision.fire:
+                np.testing.assert_allclose(
+                    followed[name].lights[k], report.estimate.sh_radiance, atol=2e-3
+                )  # The wire rounds.
     change = trigger_sessions.changes_by_rule(LATTICE)[rule]
-    assert [trigger_sessions.walk(place, rule, change, theta)[0] + 1 for place in followed] == list(fired.values())
-    assert min(fired.values()) > 1
+    walked = {name: trigger_sessions.walk(place, rule, change, theta)[0] + 1 for name, place in followed.items()}
+    assert walked == n_fired and min(n_fired.values()) > 1
 
 
 def test_a_rule_that_always_asks_is_never_off_and_one_that_never_does_keeps_the_first_light():
