@@ -94,9 +94,8 @@ def test_a_session_is_walked_as_the_chain_walks_it(rule, policy):
         for name, report in chain.step(frame, active=list(followed)).items():
             n_fired[name] += report.decision.fire
             if report.decision.fire:
-                np.testing.assert_allclose(
-                    followed[name].lights[k], report.estimate.sh_radiance, atol=2e-3
-                )  # The wire rounds.
+                light = report.estimate.sh_radiance
+                np.testing.assert_allclose(followed[name].lights[k], light, atol=2e-3)  # The wire rounds.
     change = trigger_sessions.changes_by_rule(LATTICE)[rule]
     walked = {name: trigger_sessions.walk(place, rule, change, theta)[0] + 1 for name, place in followed.items()}
     assert walked == n_fired and min(n_fired.values()) > 1
