@@ -187,7 +187,7 @@ class FrontierScene:
     n_places: Annotated[int, "in them; a place is a position in a frame"]
     views: Annotated[tuple[int, ...], "frames in which rendering was measured"]
     presets: Annotated[dict[str, RenderChoice], "what they are on this scene"]
-    exhaustive_samples: Annotated[int | None, "of the exhaustive render; None in older files"] = None
+    exhaustive_samples: Annotated[int, "of the exhaustive render"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -89,8 +89,7 @@ def _samples(scene: FrontierScene) -> str:
     """How many samples each preset takes, and the render that they are held against."""
     counts = [f"{format_count(choice.samples, 'sample')} at {name}" for name, choice in scene.presets.items()]
     most = scene.exhaustive_samples
-    exhaustive = "" if most is None else f"; in the exhaustive render it has {most}"
-    return f"In this room a pixel of a capture has {format_list(counts)}{exhaustive}."
+    return f"In this room a pixel of a capture has {format_list(counts)}; in the exhaustive render it has {most}."
 
 
 def _choices(points: Sequence[FrontierPoint], scene: str) -> str:
