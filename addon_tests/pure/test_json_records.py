@@ -108,6 +108,8 @@ def test_what_does_not_belong_is_refused_by_its_name_and_by_the_schema(change, w
 def test_what_json_does_not_have_is_refused(number):
     with pytest.raises(ValueError, match=r"^Frame.exposure: "):
         from_json(Frame, as_json(FRAME) | {"exposure": number})
+    with pytest.raises(ValueError, match=r"^Frame.light\[1\]\[0\]: "):
+        from_json(Frame, as_json(FRAME) | {"light": [[0.0, 1.0], [number, 1.0]]})
 
 
 def test_a_missing_field_is_refused_and_one_with_a_default_is_not():
