@@ -188,14 +188,22 @@ def test_objects_of_a_library_override_are_made_virtual_together(tmp_path):
     scene, furniture = furniture_of_a_library(tmp_path, "Chair", "Cushion")
     furniture.override_hierarchy_create(scene, bpy.context.view_layer)
     chair, cushion = (bpy.data.objects[name, None] for name in ("Chair", "Cushion"))
+    props, overriding = bpy.data.collections.new("Props"), bpy.data.collections["Furniture", None]
+    scene.collection.children.link(props)
+    props.children.link(overriding)
+    scene.collection.children.unlink(overriding)
+    another = bpy.data.scenes.new("Another")
+    another.collection.children.link(props)
     before = memberships()
     with pytest.raises(UserError, match=r"'Furniture' overrides one of another file.*: select 'Cushion' too"):
         make_virtual(scene, [chair])
     assert memberships() == before
     assert make_virtual(scene, [chair, cushion]) == [chair, cushion] == virtual_objects(scene)
-    assert memberships() == before and scene.collection.children.keys() == [COLLECTION_NAME]
+    assert memberships() == before and scene.collection.children.keys() == ["Props", COLLECTION_NAME]
+    assert another.collection.children.keys() == ["Props", "Furniture"]
     assert make_room(scene, [chair, cushion]) == [chair, cushion]
     assert memberships() == before and virtual_objects(scene) == []
+    assert (another.collection.children.keys(), props.children.keys()) == (["Props"], ["Furniture"])
 
 
 def test_nothing_goes_into_or_out_of_a_collection_of_virtual_objects_that_is_an_override(scene, tmp_path):

@@ -25,7 +25,9 @@ NAME_PATTERN = re.compile(rf"{COLLECTION_NAME}(\.\d{{3,}})?")
 GEOMETRY_TYPES = frozenset({"MESH", "CURVE", "SURFACE", "FONT", "META", "VOLUME", "CURVES", "POINTCLOUD"})
 HOMES = "xihe_homes"
 """Custom property of a virtual object: names of the collections of the room that it was in, where there is more to know
-than that it was in the master collection. Names, since the collections would follow the object into other files."""
+than that it was in the master collection. Names, since the collections would follow the object into other files.
+
+Of the collection of virtual objects: the same by name of each collection that was moved into it whole, as is LENT."""
 
 LENT = "xihe_lent"
 """Custom property of a virtual object: names of other scenes that showed it by a collection that it was taken out of,
@@ -88,7 +90,12 @@ def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) ->
     if collection is not None:
         for layer in hiding:
             layer.layer_collection.children[collection.name].exclude = True
-    _move(scene, overrides, collection)
+    if overrides:
+        assert collection is not None
+        homes_of = {moved.name: [home.name for home in _holding(scene, moved)] for moved in overrides}
+        lent_to = {moved.name: _move(scene, moved, [collection]) for moved in overrides}
+        for mark, names in ((HOMES, homes_of), (LENT, lent_to)):
+            collection[mark] = json.dumps(json.loads(collection.get(mark, "{}")) | names)
     virtual, room = collections_of(scene)
     for item in chosen:
         assert collection is not None
@@ -121,7 +128,15 @@ def make_room(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> li
     chosen = [item for item in with_parts(scene, objects) if virtual & set(item.users_collection)]
     _check_are_own(chosen, [*virtual, *room])
     _check_can_change(scene, chosen)
-    _move(scene, _overrides_of(chosen, virtual), scene.collection)
+    collection = virtual_collection(scene)
+    homes_of, lent_to = ({} if collection is None else json.loads(collection.get(mark, "{}")) for mark in (HOMES, LENT))
+    for moved in _overrides_of(chosen, virtual):
+        known = [home for home in room if home.name in homes_of.get(moved.name, ()) and home.library is None]
+        _move(scene, moved, known or [scene.collection])
+        for other in map(bpy.data.scenes.get, lent_to.get(moved.name, ())):
+            held = [] if other is None else _holding(other, moved)
+            if len(held) > 1 and other.collection in held:
+                other.collection.children.unlink(moved)
     virtual, room = collections_of(scene)
     for item in chosen:
         if not room & set(item.users_collection):
@@ -162,18 +177,28 @@ def _overrides_of(
     return found
 
 
-def _move(
-    scene: bpy.types.Scene, collections: Sequence[bpy.types.Collection], target: bpy.types.Collection | None
-) -> None:
-    """Move `collections` from wherever they hang in `scene` below `target`; those in another that moves go with it."""
-    for moved in collections:
-        above = [c for c in (scene.collection, *scene.collection.children_recursive) if moved in set(c.children)]
-        if target is None or any(parent.override_library is not None for parent in above):
-            continue
-        # Linked before it is unlinked, so that its objects stay selected.
-        target.children.link(moved)
-        for parent in above:
-            parent.children.unlink(moved)
+def _move(scene: bpy.types.Scene, moved: bpy.types.Collection, homes: Iterable[bpy.types.Collection]) -> list[str]:
+    """Move a collection from wherever it hangs in `scene` below `homes`; one in another that moves goes with that.
+
+    Gives the names of other scenes that showed it by a collection of both, and now do by their master collection.
+    """
+    above = _holding(scene, moved)
+    if any(parent.override_library is not None for parent in above):
+        return []
+    showing = [other for other in bpy.data.scenes if other.library is None and _holding(other, moved)]
+    # Linked before it is unlinked, so that its objects stay selected.
+    for home in homes:
+        home.children.link(moved)
+    for parent in above:
+        parent.children.unlink(moved)
+    lost = [other for other in showing if not _holding(other, moved)]
+    for other in lost:
+        other.collection.children.link(moved)
+    return [other.name for other in lost]
+
+
+def _holding(scene: bpy.types.Scene, held: bpy.types.Collection) -> list[bpy.types.Collection]:
+    return [c for c in (scene.collection, *scene.collection.children_recursive) if held in set(c.children)]
 
 
 def listed(layer: bpy.types.ViewLayer) -> bpy.types.ViewLayer:
