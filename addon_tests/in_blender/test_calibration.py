@@ -14,7 +14,7 @@ from tiny_scenes import look_at, room_with_a_virtual_sphere
 from xihe_blender.addon.planning_operators import calibration_file, calibration_line
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.calibrate import Calibration, calibrate, format_calibration, save_calibration
+from xihe_blender.previs.calibrate import Calibration, calibrate, format_calibration, save_calibration
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 
 pytestmark = pytest.mark.usefixtures("addon")

@@ -35,8 +35,7 @@ MAY_IMPORT = {
     "lab.frontier": {*JOB, "previs"},
     "lab.batch": {*JOB, "previs", "lab.workers", "lab.frontier"},
     "lab.paper": {*JOB, "previs"},
-    # Calibrate measures the presets by the frontier's means.
-    "addon": {*JOB, "previs", "lab.frontier", "cli", "packaging"},
+    "addon": {*JOB, "previs", "cli", "packaging"},
     "cli": {*JOB, "viewer", "previs", "packaging", "lab.rooms", "lab.frontier", "lab.batch", "lab.paper"},
     "__main__": {"cli"},
 }

@@ -145,12 +145,12 @@ class XIHE_OT_calibrate(Measuring, bpy.types.Operator):
 
     def start_job(self, context: bpy.types.Context) -> Job[Any]:
         from xihe_blender.addon.run_settings import previs_settings
-        from xihe_blender.lab.frontier.calibrate import calibrate
+        from xihe_blender.previs.calibrate import calibrate
 
         return calibrate(context.scene, previs_settings(context.scene))
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.lab.frontier.calibrate import format_calibration, save_calibration
+        from xihe_blender.previs.calibrate import format_calibration, save_calibration
 
         save_calibration(calibration_file(), result)
         self.report({"INFO"}, format_calibration(result))

@@ -22,8 +22,6 @@ from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Job, Progress, part_of, shown
-from xihe_blender.lab.frontier.compute import ChoiceBackend, light_of_frame
-from xihe_blender.lab.frontier.records import ComputeChoice
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import check_is_rendered, plan_previs
@@ -32,6 +30,9 @@ from xihe_blender.previs.sample_count import measure_captures, pilot_views, samp
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
+from xihenet import estimators
+from xihenet.backend import LocalBackend
+from xihenet.controller import XiheController
 from xihenet.effects import plan_effects
 from xihenet.formats import format_list, format_quantity
 from xihenet.records import ArrayF64, RgbdFrame
@@ -92,10 +93,12 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
 
 def _timed_step(seen: RgbdFrame, position_m: ArrayF64) -> float:
     """Milliseconds from a capture to the light at one position; the median of a few, after one to warm up."""
-    backend, times = ChoiceBackend(ComputeChoice()), []
+    backend, times = LocalBackend(estimators.load(estimators.DEFAULT)), []
     for _ in range(1 + N_STEPS):
+        session = XiheController(backend)
+        session.add_position("pilot", position_m)
         start = time.perf_counter()
-        light_of_frame(backend, seen, position_m)
+        session.step(seen, active=["pilot"])
         times.append(1e3 * (time.perf_counter() - start))
     return statistics.median(times[1:])
 
