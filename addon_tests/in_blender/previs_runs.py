@@ -27,15 +27,23 @@ class QuickProbes(PrevisSettings):
 
 
 @dataclass(frozen=True)
-class QuickPrevis(QuickProbes):
-    """Light probes of a quarter of these, and comparisons, not denoised: for tests that look at neither closely."""
+class PlainPrevis(QuickProbes):
+    """Light probes of a quarter of these, and comparisons that are not denoised: for tests that look at pictures."""
 
     @property
     def reference(self):
         return replace(super().reference, size=24)
 
     def comparison(self, size):
-        return replace(super().comparison(size), samples=2, denoise=False)
+        return replace(super().comparison(size), denoise=False)
+
+
+@dataclass(frozen=True)
+class QuickPrevis(PlainPrevis):
+    """And comparisons of few samples: for tests that look at neither closely."""
+
+    def comparison(self, size):
+        return replace(super().comparison(size), samples=2)
 
 
 DRAFT = {"preset": "draft", "size": (32, 24)}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from addon_runs import lit_walk, registered_addon
 from effect_scenes import shader_look
-from previs_runs import DRAFT, QuickProbes
+from previs_runs import DRAFT, PlainPrevis
 from renders import pixels_of_file, rendered_picture, rendered_sphere
 from shown_lights import keyed
 from tiny_scenes import box, empty_scene, material, opened, orthographic, phone, sphere
@@ -149,7 +149,7 @@ def test_what_reflects_a_picture_takes_its_samples_and_all_else_those_of_the_pre
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
     with registered_addon():
-        settings = QuickProbes(**DRAFT, light="sh+key+reflections")
+        settings = PlainPrevis(**DRAFT, light="sh+key+reflections")
         yield lit_walk(tmp_path_factory.mktemp("key") / "out", settings)
 
 

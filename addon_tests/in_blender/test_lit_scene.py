@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from addon_runs import poll_message, registered_addon
 from mathutils import Matrix
-from previs_runs import DRAFT, N_FRAMES, QuickProbes, run, walk
+from previs_runs import DRAFT, N_FRAMES, PlainPrevis, run, walk
 from renders import pixels_of_file, rendered_picture
 from scene_snapshot import data_blocks, differences, nothing_changes, snapshot
 from shown_lights import keyed, shown_light
@@ -42,7 +42,7 @@ from xihenet.light.key_light import rest_of
 from xihenet.records import Intrinsics
 from xihenet.trigger import RULES
 
-SETTINGS = QuickProbes(**DRAFT, estimator="projection", samples=16)
+SETTINGS = PlainPrevis(**DRAFT, estimator="projection", samples=16)
 
 
 @dataclass
