@@ -2,12 +2,22 @@
 
 import functools
 
+import moved_rooms
 import numpy as np
 import pytest
 from moved_rooms import ALL_THREE, ESTIMATORS, IN_METRES, NOISE, TOLERANCE, Placing, apart, see, turned_by_hand
 
 seen = functools.cache(see)
 YAWS_DEG = (90.0, *np.linspace(1, 359, 12))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fewer_rays():
+    """Than for the figures of docs/error_bounds.md, within the same bounds."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, number in (("SAMPLES", 48), ("PROBE_SIZE", 96), ("PROBE_SAMPLES", 10)):
+            patch.setattr(moved_rooms, name, number)
+        yield
 
 
 def assert_same(seen, known, tolerance):
