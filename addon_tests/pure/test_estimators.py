@@ -14,7 +14,7 @@ from addon_tests.pure.made import constant, frame_of, random_cloud
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.edge.batching import Inference, unserved_because
-from xihenet.estimators import EstimateContext
+from xihenet.estimators import EstimateContext, Estimator
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.weights_format import weights_sha256
 from xihenet.records import PointCloud, UnitSphereCloud
@@ -178,6 +178,20 @@ def test_ambient_is_clipped_at_white_for_ldr_alone():
     for target, expected in (("ldr", [0.5, 1.0, 1.0]), ("hdr", [0.5, 2.0, 7.0])):
         estimate = estimators.load("ambient", N, target).estimate(UnitSphereCloud.empty(N), context)
         np.testing.assert_allclose(estimate, constant(expected))
+
+
+@pytest.mark.parametrize("kind", [np.float32, ">f8", list])
+def test_an_estimator_of_somebody_elses_may_answer_with_any_numbers(kind):
+    class Listed(Estimator):
+        name = "listed"
+
+        def _estimate(self, cloud, context):
+            light = constant(RADIANCE)
+            return light.tolist() if kind is list else light.astype(kind)
+
+    light = Listed(N).estimate(constant_cloud(True))
+    assert light.dtype == np.float64 and light.dtype.isnative
+    np.testing.assert_allclose(light, constant(RADIANCE), rtol=1e-6)
 
 
 def test_truth_without_its_probe_is_refused():

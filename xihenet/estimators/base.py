@@ -108,10 +108,11 @@ class Estimator(ABC):
         if len(cloud) != self.n_anchors:
             raise ValueError(f"{self.name}: made for {self.n_anchors} anchors, got a cloud of {len(cloud)}")
 
-    def _checked(self, sh_radiance: ArrayF64) -> ArrayF64:
-        if sh_radiance.shape != (9, 3) or not np.isfinite(sh_radiance).all():
+    def _checked(self, sh_radiance: ArrayLike) -> ArrayF64:
+        light = np.asarray(sh_radiance, np.float64)
+        if light.shape != (9, 3) or not np.isfinite(light).all():
             raise NotFinite(f"{self.name}: the estimate is not nine finite triples; refusing to pass it on")
-        return sh_radiance
+        return light
 
     @abstractmethod
     def _estimate(self, cloud: UnitSphereCloud, context: EstimateContext) -> ArrayF64:
