@@ -151,11 +151,14 @@ def test_every_damaged_file_is_named_and_made_again_but_once_and_a_stop_leaves_t
     job = frontier([done / "room.blend"], tmp_path / "out", SMALL)
     for _ in range(2):  # It looks at the scene, then opens it to measure it.
         next(job)
+    said = []
     with nothing_changes():
         for progress in job:
+            said.append(progress.doing)
             if "exhaustively" in progress.doing and "comparing" in progress.doing:
                 break
         job.close()
+    assert "room: measuring the true light at Ball in frame 1" in said  # Ctrl-C is heard between light probes.
     to_come = [file for file in files if file.name.startswith(("measured.json", "pictures_"))]
     made = {file: file.stat().st_mtime_ns for file in first if file not in to_come}
     assert {file.name.partition("_")[0] for file in made} == {"walk", "probes", "round", "prepared.json"}

@@ -25,7 +25,6 @@ from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_sca
 from xihe_blender.errors import UserError, of_file
 from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256
 from xihe_blender.io.json_records import Json, as_json
-from xihe_blender.io.kept_files import kept_or_made
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of, run_blocking, shown
@@ -256,16 +255,20 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
     frames, truths = [], []
     with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
 
-        def measured(frame: int, active: Sequence[str]) -> Json:
-            lights = {name: probe.light_at(indices[name], frame, prepared.exposure) for name in active}
-            return {name: light.measured.ldr.tolist() for name, light in lights.items()}
+        def measured(frame: int, active: Sequence[str]) -> Job[Json]:
+            lights = {}
+            for done, name in enumerate(active):
+                yield Progress(done, len(active), f"measuring the true light at {name} in frame {frame}")
+                lights[name] = probe.light_at(indices[name], frame, prepared.exposure).measured.ldr.tolist()
+            return lights
 
         for index, (frame, active) in enumerate(chosen):
-            yield Progress(index, len(chosen), f"capturing frame {frame} and its light probes")
+            yield Progress(index, len(chosen), f"capturing frame {frame}")
             path = study.folder / f"walk_{frame:04d}.exr"
             frames.append(kept_capture(path, scanner, frame, scanner.acquire_environment_scan))
             path, read = study.folder / f"probes_{frame:04d}.json", functools.partial(kept_truths, active)
-            truths.append(kept_or_made(path, read, functools.partial(measured, frame, active)))
+            job = part_of(len(chosen), index, 1, measured(frame, active))
+            truths.append((yield from kept_or_done(path, read, job)))
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
 
 
