@@ -1,7 +1,8 @@
 """Records that pass between the stages of the chain: frozen, and they check themselves.
 
 Each record is checked once, where it is made, so that no stage has to doubt its input. Arrays are converted to the
-stated type and kept as read-only views; the caller's own array stays writable. A wrong shape, a wrong type or a value
+stated type and kept as read-only views; the caller's own array stays writable. Poses and other small ones in float64
+are copied, since a program may write each pose into the array of the one before. A wrong shape, a wrong type or a value
 out of range raises ValueError with what was expected and what came.
 
 Frames of reference: Blender world, right-handed, +Z up, metres. Cameras look down -Z with +Y up.
@@ -25,6 +26,7 @@ ArrayU8 = NDArray[np.uint8]
 ArrayBool = NDArray[np.bool_]
 ArrayInt = NDArray[np.intp]
 
+COPIED = 27  # Numbers of an array, at most: poses, places, and lights of order 2
 POSE_TOLERANCE = 1e-3  # As poses are written with four digits
 
 FLOAT32_TO_M = 8192.0
@@ -56,7 +58,7 @@ def _keep(record: object, dtype: Any, **shapes: tuple[int | None, ...]) -> None:
             raise ValueError(
                 f"{type(record).__name__}.{name}: expected an array of shape {expected}, got {array.shape}"
             )
-        view = array.view()
+        view = array.copy() if dtype is np.float64 and array.size <= COPIED else array.view()
         view.flags.writeable = False
         object.__setattr__(record, name, view)
 

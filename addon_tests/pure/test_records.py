@@ -25,6 +25,13 @@ def test_arrays_become_read_only_views_and_the_callers_stay_writable():
     assert not record.plane_depth_m.flags.writeable and depths.flags.writeable
 
 
+def test_a_pose_that_is_written_into_the_array_of_the_last_one_moves_no_frame():
+    pose = np.eye(4)
+    before = frame(world_from_camera=pose)
+    pose[:3, 3] = 1
+    assert not before.world_from_camera[:3, 3].any() and not before.world_from_camera.flags.writeable
+
+
 def test_arrays_of_other_kinds_become_plain_ones():
     as_they_were = np.array([[448_262.3, 5_411_932.7, 120.4], [448_262.4, 5_411_932.8, 120.5]])
     for points_m in (as_they_were.astype(">f8"), as_they_were.tolist(), np.asfortranarray(as_they_were)):
