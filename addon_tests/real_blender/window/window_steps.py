@@ -47,6 +47,7 @@ class Window:
         self.run_folder = run_folder
         self.facts: dict[str, Any] = {}
         self.found_at = 0
+        self.places: dict[int, str] = {}
         self.window = bpy.context.window_manager.windows[0]
         self.n_drawn = 0
         for region in ("WINDOW", "UI"):
@@ -132,17 +133,22 @@ class Window:
     def find(self, wanted: str, *, across: float = 0.5) -> Steps:
         """Rest the mouse on the button whose command or data path holds `wanted`; `across` of the sidebar's width.
 
-        Looks near what was found last first. The sidebar is scrolled down where that is not in view. AssertionError if
-        it is not there, with what was found.
+        Looks first where it was seen before, then near what was found last; where nothing was found yet, at every third
+        row before those in between. The sidebar is scrolled down where that is not in view. AssertionError if it is not
+        there, with what was found.
         """
         seen: list[str] = []
         for _ in range(N_SCROLLS):
             r = self.sidebar
-            rows = range(r.y + r.height - 8, r.y, -ROW_PX)
-            for y in sorted(rows, key=lambda y: abs(y - self.found_at)) if self.found_at else rows:
+            rows = list(range(r.y + r.height - 8, r.y, -ROW_PX))
+            if self.found_at:
+                rows.sort(key=lambda y: abs(y - self.found_at))
+            else:
+                rows = [*rows[::3], *rows[1::3], *rows[2::3]]
+            for y in sorted(rows, key=lambda y: wanted not in self.places.get(y, "")):
                 self.move(self.sidebar_x(across), y)
                 yield HOVER_S
-                here = self.under_mouse()
+                here = self.places[y] = self.under_mouse()
                 if wanted in here:
                     self.found_at = y
                     return
