@@ -21,6 +21,7 @@ from xihe_blender.capture.reference_probe import (
 )
 from xihe_blender.capture.render import stacked_rgb
 from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.mirror_ball import ball_directions, project_mirror_ball
 from xihenet.sh import basis, irradiance
@@ -225,6 +226,16 @@ def test_a_tighter_target_takes_more_pictures_and_ends_at_the_most():
         # What is white is judged anew in the end, which changes the noise a little.
         assert light.ldr_noise <= 1.2 * target or light.ldr_samples == 12
     assert samples[0] == 6 < samples[1] < samples[2] == 12
+
+
+def test_a_run_whose_target_is_all_of_the_light_takes_the_fewest_pictures_of_clipped_light():
+    scene, lights = room_with_a_virtual_sphere(), {}
+    for target in ("hdr", "ldr"):
+        settings = replace(PrevisSettings(target=target).reference, size=24, max_samples=7, noise_target=None)
+        with open_reference_probe(scene, [(0, 0, 0.85)], settings) as probe:
+            lights[target] = probe.light_at(0, 1).measured
+    assert [light.ldr_samples for light in lights.values()] == [6, 7]
+    assert lights["hdr"].hdr_samples == 7 and np.array_equal(lights["hdr"].hdr, lights["ldr"].hdr)
 
 
 @pytest.mark.parametrize(("target", "side"), [("ldr", -1), ("hdr", 1)], ids=["clipped, below", "whole, above"])

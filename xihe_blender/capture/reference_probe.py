@@ -95,6 +95,8 @@ class ProbeSettings:
     denoise : with OpenImageDenoise, where the build has it: one more picture, for what is white, never for what counts
     light_transport : as in RenderSettings
     order : highest band of `ldr`
+    aims_at_ldr : whether the target holds for `ldr` too; else FEWEST_SAMPLES pictures of it are taken, whatever the
+        noise: in dim rooms they were three quarters of the time
     """
 
     size: int = 192
@@ -104,6 +106,11 @@ class ProbeSettings:
     denoise: bool = True
     light_transport: tuple[tuple[str, bool | int], ...] = ()
     order: int = 2
+    aims_at_ldr: bool = True
+
+    @property
+    def max_ldr_samples(self) -> int:
+        return self.max_samples if self.aims_at_ldr else min(FEWEST_SAMPLES, self.max_samples)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +191,9 @@ class ReferenceProbe:
         self.scene.frame_set(frame)
         gain, order = np.float32(exposure), self.settings.order
         views, ldr, ldr_noise = self._measure(
-            lambda number: _exposed_view(self.view(index, number), gain), lambda views: _lights_seen(views, None, order)
+            lambda number: _exposed_view(self.view(index, number), gain),
+            lambda views: _lights_seen(views, None, order),
+            self.settings.max_ldr_samples,
         )
         smooth = None
         if self.is_denoised:
@@ -195,6 +204,7 @@ class ReferenceProbe:
         cones, hdr, hdr_noise = self._measure(
             lambda number: self.cones(index, number),
             lambda cones: lights_of_cones([finite_rgb(cone.passes, "Combined") for cone in cones]) * gain,
+            self.settings.max_samples,
         )
         seen: ArrayF32 = np.mean([view.radiance for view in views], axis=0) if smooth is None else smooth.radiance
         ball = seen / gain
@@ -204,13 +214,13 @@ class ReferenceProbe:
         return ReferenceLight(measured, panorama_of_ball(ball, max(8, self.settings.size // 4)), ball)
 
     def _measure(
-        self, take: Callable[[int], Picture], lights: Callable[[Sequence[Picture]], ArrayF64]
+        self, take: Callable[[int], Picture], lights: Callable[[Sequence[Picture]], ArrayF64], most: int
     ) -> tuple[list[Picture], ArrayF64, float | None]:
-        """Picture after picture, until the mean of their lights is good enough or as many as may be; it and its noise.
+        """Picture after picture, until the mean of their lights is good enough or there are `most`; it and its noise.
 
         `lights` are (n, coefficients, 3) of each picture.
         """
-        target, most = self.settings.noise_target, self.settings.max_samples
+        target = self.settings.noise_target
         taken: list[Picture] = []
         while True:
             # A fifth more at a time: clipping looks at all of them anew.

@@ -156,6 +156,7 @@ def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command
     lights, shown = [], []
     # All of one kind before the other: Cycles keeps a room's geometry between the renders of one scene.
     with run.open_probes(places) as probe:
+        probe.settings = replace(run.reference, aims_at_ldr=True)
         for done, (k, place, frame) in enumerate(asked):
             yield Progress(done, 2 * len(asked), f"measuring the true light at {place.name} in frame {frame}")
             probe.move(k, place.at(frame))

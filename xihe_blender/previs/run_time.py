@@ -160,8 +160,11 @@ def _timed_probe(run: PreparedRun) -> Steps[tuple[float, RenderTime]]:
             reference_probe.move(index, probe.at(frame))
             light = reference_probe.light_at(index, frame, run.exposure).measured
             taken = light.ldr_samples, light.hdr_samples
-            noises = light.ldr_noise, light.hdr_noise
-            needed = [pictures_needed(n, noise, run.reference) for n, noise in zip(taken, noises, strict=True)]
+            of_ldr = replace(run.reference, max_samples=run.reference.max_ldr_samples)
+            needed = (
+                pictures_needed(taken[0], light.ldr_noise, of_ldr),
+                pictures_needed(taken[1], light.hdr_noise, run.reference),
+            )
             ball_s = reference_probe.mirror_ball(index, frame)[1] if run.settings.has_reflections else 0.0
             times_s.append(light.render_s * sum(needed) / sum(taken) + ball_s)
             counts.append(sum(needed) / 2)

@@ -225,7 +225,7 @@ class PrevisSettings:
         if self.samples is not None:
             return ProbeSettings(max_samples=self.samples, noise_target=None, seed=self.seed)
         most, aim = self.preset_values.probe_samples, RULER_SHARE * self.noise_aim
-        return ProbeSettings(max_samples=most, noise_target=aim, seed=self.seed)
+        return ProbeSettings(max_samples=most, noise_target=aim, seed=self.seed, aims_at_ldr=self.target == "ldr")
 
     def comparison(self, size: tuple[int, int]) -> RenderSettings:
         return RenderSettings(size, self.preset_values.comparison_samples, self.seed)
