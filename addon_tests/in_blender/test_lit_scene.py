@@ -643,10 +643,12 @@ def test_a_view_is_put_back_as_it_was_and_as_far_as_an_earlier_version_noted_it(
     at_m = view.view_location = (1.0, 2.0, 3.0)
     noted = light_operators._show_rendered(area)
     assert (space.shading.type, view.view_perspective) == ("RENDERED", "CAMERA")
+    assert not space.overlay.show_floor and not space.overlay.show_relationship_lines
     for before in (noted, "SOLID PERSP show_floor"):
         view.view_location = (0.0, 0.0, 0.0)
         light_operators._put_back(area, before)
         assert (space.shading.type, view.view_perspective, space.overlay.show_floor) == ("SOLID", "PERSP", True)
+        assert space.overlay.show_relationship_lines == (before == noted)
         assert tuple(view.view_location) == (at_m if before == noted else (0.0, 0.0, 0.0))
     light_operators._views.clear()
     light_operators._showed.clear()

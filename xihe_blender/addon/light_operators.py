@@ -18,7 +18,7 @@ VIEW_BEFORE = "xihe_view"
 LAYER_BEFORE = "xihe_view_layer"
 """Custom property of the lit scene: the view layer of the room that the window showed."""
 
-FLOOR = ("show_floor", "show_axis_x", "show_axis_y")
+LINES = ("show_floor", "show_axis_x", "show_axis_y", "show_relationship_lines")
 """Lines that would lie over the captured frame, which is itself an overlay."""
 
 
@@ -116,11 +116,11 @@ def _enter(context: bpy.types.Context, lit: bpy.types.Scene) -> None:
 def _show_rendered(area: bpy.types.Area) -> str:
     """Show the lit scene in `area`, through its camera; how the view was before."""
     space, view = area.spaces.active, area.spaces.active.region_3d
-    shown = [line for line in FLOOR if getattr(space.overlay, line)]
+    shown = [line for line in LINES if getattr(space.overlay, line)]
     place = [*view.view_rotation, *view.view_location, view.view_distance]
     before = " ".join([space.shading.type, view.view_perspective, *map(str, place), *shown])
     space.shading.type, view.view_perspective = "RENDERED", "CAMERA"
-    for line in FLOOR:
+    for line in LINES:
         setattr(space.overlay, line, False)
     _showed.add(area.as_pointer())
     return _views.setdefault(area.as_pointer(), before)
@@ -146,7 +146,7 @@ def _put_back(area: bpy.types.Area, before: str) -> None:
     # Through a camera, Blender forgets from where the view looked before; a file of an earlier version holds none.
     if place and view.view_perspective != "CAMERA":
         view.view_rotation, view.view_location, view.view_distance = place[:4], place[4:7], place[7]
-    for line in FLOOR:
+    for line in LINES:
         setattr(space.overlay, line, line in shown)
 
 
