@@ -593,6 +593,19 @@ def test_after_undo_no_instance_is_left_without_evaluated_objects_in_the_scene_t
         assert layer.depsgraph.id_eval_get(table).matrix_world.translation.x == pytest.approx(table.location.x)
 
 
+def test_after_undo_other_view_layers_of_the_scene_that_is_shown_are_left_alone(ran, shown):
+    """In a window Blender 4.3 crashes on evaluating them after an Undo of Remove Light."""
+    room, table = bpy.data.scenes["Scene"], bpy.data.objects["Table"]
+    bpy.context.window.scene = room
+    other = room.view_layers.new("Other")
+    other.update()
+    before = table.location.x
+    table.location.x += 0.25
+    with registered_addon():
+        leftovers._after_undo()
+    assert other.depsgraph.id_eval_get(table).matrix_world.translation.x == pytest.approx(before)
+
+
 def test_the_one_that_was_saved_with_the_run_is_shown_over_its_frames_as_it_was_left(ran, tmp_path):
     shutil.copytree(ran.out, tmp_path / "moved")
     with registered_addon():

@@ -15,7 +15,7 @@ from xihe_blender.addon.background_run import newest_run
 from xihe_blender.addon.runs_folder import last_part, last_run
 from xihe_blender.apply.datablocks import OF_RUN, ROOM, RUN_BESIDE, lit_scene, remove_lit_collections
 from xihe_blender.errors import UserError
-from xihe_blender.scene.state import WORKING, evaluate_pending, remove_copied_scene
+from xihe_blender.scene.state import WORKING, remove_copied_scene
 
 
 def remove_working_scenes() -> None:
@@ -39,10 +39,18 @@ def _evaluate_unseen() -> None:
     """Bring the scene `Xihe Lit` and its room up to date, whichever of them no window shows.
 
     Blender 4.3 looks once a minute through all scenes for what it need not keep drawn, and crashes on instances that
-    Undo has left without evaluated objects.
+    Undo has left without evaluated objects. Of a scene that is shown its other view layers are left alone: evaluating
+    them after an Undo of Remove Light crashes it as well.
     """
     lit = lit_scene()
-    evaluate_pending(() if lit is None else filter(None, (lit, lit.get(ROOM))))
+    both = () if lit is None else filter(None, (lit, lit.get(ROOM)))
+    windows = [window for manager in bpy.data.window_managers for window in manager.windows]
+    shown, shown_layers = {window.scene for window in windows}, {window.view_layer for window in windows}
+    for layer in [
+        layer for scene in both for layer in scene.view_layers if scene not in shown or layer in shown_layers
+    ]:
+        if layer.depsgraph is not None:
+            layer.update()
 
 
 @bpy.app.handlers.persistent
