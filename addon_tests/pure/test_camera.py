@@ -4,7 +4,6 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from xihenet.phone.holes import SurfaceFacts, facing_cosines
 
 from addon_tests.pure.made import frame_of, pose_of, random_rotation
 from xihenet.camera import (
@@ -18,6 +17,7 @@ from xihenet.camera import (
 )
 from xihenet.colour import srgb_to_linear
 from xihenet.mirror_sphere import mirror_sphere_cloud
+from xihenet.phone.depth_dropout import SurfaceFacts, facing_cosines
 from xihenet.records import Intrinsics
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
