@@ -212,7 +212,7 @@ def test_the_button_writes_the_same_page_and_leaves_the_open_file_alone(done):
     run_blocking(second_blender(["export", "--to", "viewer", str(folder)], "saving"))
     assert (folder / "viewer.html").read_text(encoding="utf-8") == page
     assert [item.name for item in bpy.context.selected_objects] == chosen
-    with pytest.raises(UserError, match="nowhere is no run: give the run.s folder"):
+    with pytest.raises(UserError, match=r"nowhere is no run: give the run's folder"):
         run_blocking(second_blender(["export", "--to", "viewer", str(folder / "nowhere")], "saving"))
 
 
