@@ -206,6 +206,7 @@ def test_removing_takes_worlds_node_group_and_markers_and_leaves_the_users():
     make_sh_world("Xihe Ball")
     mark_trigger(scene, 3, ["first", "colour", "first"])
     assert [m.name for m in scene.timeline_markers if m.frame == 3] == ["Xihe trigger (colour, first)"]
+    assert [m for m in scene.timeline_markers if m.select] == [marker], "what is moved with the user's own is not ours"
     remove_applied_light()
     remove_trigger_markers(scene)
     assert list(bpy.data.worlds) == [mine] and not bpy.data.node_groups

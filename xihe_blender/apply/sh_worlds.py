@@ -129,7 +129,7 @@ def mark_trigger(scene: bpy.types.Scene, frame: int, reasons: Iterable[str]) -> 
     name = f"{MARKER_PREFIX} ({', '.join(sorted(set(reasons)))})"
     for marker in [marker for marker in trigger_markers(scene) if marker.frame == frame]:
         scene.timeline_markers.remove(marker)
-    scene.timeline_markers.new(name, frame=frame)
+    scene.timeline_markers.new(name, frame=frame).select = False  # Else it is moved and deleted with the user's own.
 
 
 def remove_trigger_markers(scene: bpy.types.Scene) -> None:
