@@ -60,7 +60,7 @@ def test_the_run_of_a_scene_that_is_linked_is_another_files(tmp_path, addon):
     kitchen.xihe.begun_run = str(run.folder)
     leftovers._look_for_run()
     assert job.unshown_run == str(run.folder)
-    bpy.data.libraries.write(str(tmp_path / "kitchen.blend"), {kitchen})
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"), copy=True)
     bpy.data.scenes.remove(kitchen)
     with bpy.data.libraries.load(str(tmp_path / "kitchen.blend"), link=True) as (_, linked):
         linked.scenes = ["Kitchen"]
