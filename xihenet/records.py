@@ -211,7 +211,7 @@ class PixelGrid:
 def _needs_float64(points_m: ArrayLike) -> bool:
     """Whether float32 would round points by millimetres. NaN and infinite coordinates say nothing."""
     points = np.asarray(points_m)
-    if points.dtype.kind not in "if" or points.dtype.itemsize <= np.dtype(np.float32).itemsize:
+    if points.dtype.kind not in "iuf" or np.can_cast(points.dtype, np.float32):
         return False
     return bool(np.any((np.abs(points) > FLOAT32_TO_M) & np.isfinite(points)))
 

@@ -36,6 +36,8 @@ def test_arrays_of_other_kinds_become_plain_ones():
     as_they_were = np.array([[448_262.3, 5_411_932.7, 120.4], [448_262.4, 5_411_932.8, 120.5]])
     for points_m in (as_they_were.astype(">f8"), as_they_were.tolist(), np.asfortranarray(as_they_were)):
         np.testing.assert_array_equal(PointCloud(points_m, np.zeros((2, 3))).points_m, as_they_were)
+    for kind in (np.int32, np.uint32, np.uint64):
+        assert PointCloud(np.array([[20_000_001, 0, 0]], kind), [[0, 0, 0]]).points_m[0, 0] == 20_000_001
     depths = np.ma.array(np.ones((3, 4), np.float32))
     assert type(frame(plane_depth_m=depths).plane_depth_m) is np.ndarray
     depths[0, 0] = np.ma.masked
