@@ -122,6 +122,13 @@ def test_a_point_is_as_far_behind_as_the_surface_of_its_own_pixel_says():
     assert behind_m([0, 0, 5], frame) == behind_m([90, 0, -1], frame) == 0
 
 
+def test_the_cameras_own_plane_has_no_pixel_and_the_far_edges_of_the_picture_are_outside():
+    camera = Intrinsics(4, 3, 2.0, 2.0, 2.0, 1.5), np.eye(4)
+    points = [[-1, 0.75, -1], [1, 0, -1], [0, -0.75, -1], [1, 1, 0], [0, 0, 0]]
+    assert in_view(points, *camera).tolist() == [True, False, False, False, False]
+    assert np.isnan(project_points(points[3:], *camera)[0]).all()
+
+
 def test_no_points_project_to_no_pixels():
     pixels, plane_depth_m = project_points(np.zeros((0, 3)), Intrinsics(1, 1, 1, 1, 0, 0), np.eye(4))
     assert pixels.shape == (0, 2) and plane_depth_m.shape == (0,)
