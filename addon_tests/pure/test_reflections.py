@@ -68,6 +68,23 @@ def test_there_is_no_seam_and_far_away_it_is_halfway_between_the_estimate_and_wh
     assert found[LATTICE.directions[:, 2].argmin()] == pytest.approx(np.sqrt(0.3 * 0.8), abs=0.02)
 
 
+@pytest.mark.parametrize("n", [1, 6, 200])
+def test_it_fades_ring_by_ring_and_is_smoothed_as_the_plain_loop_does(n):
+    rng, lattice = np.random.default_rng(n), AnchorLattice(n)
+    radiance, is_set = rng.uniform(0.3, 0.6, (n, 3)), np.arange(n) % 40 == 0
+    guess = (np.log(0.3) + np.log(np.median(radiance[is_set], axis=0))) / 2
+    around, kept = lattice.neighbours(min(7, n)), np.exp(-np.sqrt(4 * np.pi / n) / np.radians(20))
+    known = {anchor: np.log(radiance[anchor]) - guess for anchor in np.flatnonzero(is_set)}
+    while len(known) < n:
+        beside = {a: [known[b] for b in around[a, 1:] if b in known] for a in range(n) if a not in known}
+        known |= {anchor: kept * np.mean(values, axis=0) for anchor, values in beside.items() if values}
+    faded = np.array([known[anchor] for anchor in range(n)])
+    for _ in range(6):
+        faded[~is_set] = faded[around[~is_set]].mean(axis=1)
+    found = fill_reflections(cloud_of(radiance, is_set), lattice, ObjectLight(FLAT)).radiance
+    assert found == pytest.approx(np.exp(guess + faded), abs=1e-5)
+
+
 def test_a_window_draws_no_streak_beyond_what_was_seen_of_it():
     """The wall goes on in the dark half, a bright window at the border does not."""
     radiance = np.full((len(LATTICE), 3), 0.1)
