@@ -1,4 +1,4 @@
-"""Light at many places of a kept walk, on all cores: as one place after the other, whatever becomes of the helpers."""
+"""Light at many places of a kept path, on all cores: as one place after the other, whatever becomes of the helpers."""
 
 import pickle
 import sys
@@ -30,7 +30,7 @@ def seen(frame):
 
 
 @pytest.fixture
-def walk():
+def path():
     chain = ControllerSettings(reference_exposure=1.0, learns_out_of_view=True, between_estimates="carried")
     return KeptPath(tuple(map(seen, range(3))), chain, estimators.load("lattice", 320))
 
@@ -62,22 +62,22 @@ def assert_same(found, expected):
 
 
 @pytest.fixture
-def one_after_the_other(walk, places):
-    return finished(walk.find_light(places))
+def one_after_the_other(path, places):
+    return finished(path.find_light(places))
 
 
-def test_a_helper_alone_finds_the_same_light(walk, places, one_after_the_other):
+def test_a_helper_alone_finds_the_same_light(path, places, one_after_the_other):
     names, found = list(places), {}
     batches = deque(names[start : start + AT_ONCE] for start in range(0, len(names), AT_ONCE))
-    with helper(pickle.dumps(walk), places, batches, found) as thread:
+    with helper(pickle.dumps(path), places, batches, found) as thread:
         thread.join(60)
     assert not thread.is_alive()
     assert_same({name: found[name] for name in names}, one_after_the_other)
 
 
 @pytest.mark.parametrize("n_helpers", [0, 2])
-def test_with_helpers_nothing_changes(walk, places, one_after_the_other, n_helpers):
-    assert_same(finished(find_light_on_all_cores(walk, places, n_helpers)), one_after_the_other)
+def test_with_helpers_nothing_changes(path, places, one_after_the_other, n_helpers):
+    assert_same(finished(find_light_on_all_cores(path, places, n_helpers)), one_after_the_other)
 
 
 @pytest.fixture
@@ -97,11 +97,11 @@ def helpers_run(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("interpreter", ["/nowhere/python", sys.executable])
 def test_helpers_that_cannot_work_leave_it_to_this_process(
-    walk, places, one_after_the_other, interpreter, monkeypatch, helpers_run
+    path, places, one_after_the_other, interpreter, monkeypatch, helpers_run
 ):
     monkeypatch.setattr(sys, "executable", interpreter)
     helpers_run("raise ImportError")
-    assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
+    assert_same(finished(find_light_on_all_cores(path, places, 1)), one_after_the_other)
 
 
 TAKES_ALL = "threading.Thread(target=sys.stdin.buffer.read).start()"
@@ -109,11 +109,11 @@ IS_READY = "pickle.dump(True, sys.stdout.buffer); sys.stdout.flush()"
 
 
 @pytest.mark.parametrize("does", ["pass", f"{TAKES_ALL}; {IS_READY}"])
-def test_a_helper_that_never_answers_is_not_waited_for(walk, places, one_after_the_other, does, helpers_run, tmp_path):
+def test_a_helper_that_never_answers_is_not_waited_for(path, places, one_after_the_other, does, helpers_run, tmp_path):
     begun = tmp_path / "begun"
     begins = f"pathlib.Path({str(begun)!r}).touch()"
     helpers_run(f"import pathlib, pickle, sys, threading, time; {does}; {begins}; time.sleep(600)")
-    steps, until = find_light_on_all_cores(walk, places, 1), time.monotonic() + 30
+    steps, until = find_light_on_all_cores(path, places, 1), time.monotonic() + 30
     next(steps)
     while not begun.exists():
         assert time.monotonic() < until
@@ -121,22 +121,22 @@ def test_a_helper_that_never_answers_is_not_waited_for(walk, places, one_after_t
     assert_same(finished(steps), one_after_the_other)
 
 
-def test_an_estimator_that_cannot_be_sent_is_asked_here(walk, places, one_after_the_other):
-    walk.estimator.held = threading.Lock()
-    assert_same(finished(find_light_on_all_cores(walk, places, 1)), one_after_the_other)
+def test_an_estimator_that_cannot_be_sent_is_asked_here(path, places, one_after_the_other):
+    path.estimator.held = threading.Lock()
+    assert_same(finished(find_light_on_all_cores(path, places, 1)), one_after_the_other)
 
 
-def test_what_is_closed_leaves_no_helper(walk, places):
+def test_what_is_closed_leaves_no_helper(path, places):
     others = set(threading.enumerate())
-    steps = find_light_on_all_cores(walk, places, 2)
+    steps = find_light_on_all_cores(path, places, 2)
     next(steps)
     assert set(threading.enumerate()) - others
     steps.close()
     assert not set(threading.enumerate()) - others
 
 
-def test_few_places_start_no_process_and_none_is_no_light(walk, places, monkeypatch):
+def test_few_places_start_no_process_and_none_is_no_light(path, places, monkeypatch):
     monkeypatch.setattr(other_cores, "helper", None)
     few = dict(list(places.items())[:2])
-    assert_same(finished(find_light_on_all_cores(walk, few)), finished(walk.find_light(few)))
-    assert finished(find_light_on_all_cores(replace(walk, frames=()), {})) == {}
+    assert_same(finished(find_light_on_all_cores(path, few)), finished(path.find_light(few)))
+    assert finished(find_light_on_all_cores(replace(path, frames=()), {})) == {}

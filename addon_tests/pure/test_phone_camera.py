@@ -29,7 +29,7 @@ def frame_of(number, size=(48, 64), ambient=(1.0, 0.9, 0.7)):
     return RgbdFrame(colour, z, intrinsics, np.eye(4), 0.5, np.array(ambient), time_s=0.1 * number, frame=number)
 
 
-def test_every_effect_that_makes_holes_has_its_turn():
+def test_every_depth_dropout_has_its_turn():
     assert sorted(DROPOUTS) == sorted(name for name, kind in EFFECTS.items() if issubclass(kind, DepthDropout))
 
 

@@ -137,7 +137,7 @@ def test_noise_makes_no_hole_at_any_distance(distance_m):
         assert valid_plane_depth(add_noise(wall(distance_m), settings, np.random.default_rng(0))).all()
 
 
-def test_huge_noise_neither_passes_the_camera_nor_makes_holes():
+def test_huge_noise_neither_passes_the_camera_nor_loses_its_depth():
     out = add_noise(wall(0.3), noise(sigma_m=1.0), np.random.default_rng(0))
     assert valid_plane_depth(out).all()
     assert out.min() >= np.float32(0.15)
