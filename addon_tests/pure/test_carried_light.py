@@ -15,7 +15,7 @@ from xihenet.controller import ControllerSettings, XiheController
 from xihenet.light.carried_light import BLEND_S, MOST_GAIN, CarriedLight, blended
 from xihenet.metrics import shc_rmse
 from xihenet.phone import LINKS, EstimatesUnderWay
-from xihenet.records import KeyLight, LightEstimate, ObjectLight, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, KeyLight, LightEstimate, ObjectLight, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import TriggerSettings
 
@@ -110,6 +110,15 @@ def test_where_little_is_seen_again_only_a_switched_lamp_counts():
     slowly = light.after(far[0], None, DIRECTIONS).after(far[1], far[0], DIRECTIONS)
     np.testing.assert_array_equal(slowly.gain, 1)
     np.testing.assert_allclose(slowly.after(far[2], far[1], DIRECTIONS).gain, 0.4 / 0.95, rtol=0.03)
+
+
+def test_surfaces_that_are_seen_under_another_angle_are_not_asked():
+    def seen(light, is_turned):
+        surfaces = AnchorSurfaces(np.zeros(N), np.ones(N), np.where(is_turned[:, None], [1, 0, 0], [0, 0, 1]))
+        return replace(picture(room(), np.where(is_turned, 1, light)[:, None]), surfaces=surfaces)
+
+    base, now = seen(1.0, np.zeros(N, bool)), seen(0.5, np.arange(N) % 3 > 0)
+    np.testing.assert_allclose(CarriedLight(estimate_of(seen=base)).after(now, None, DIRECTIONS).gain, 0.5, rtol=0.03)
 
 
 # ------------------------------------------------------------------------------------------------------------ sessions
