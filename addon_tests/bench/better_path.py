@@ -1,4 +1,4 @@
-"""How far does an advised second of looking lower the true error, beside a random second?
+"""The better path: how far does an advised second of looking lower the true error, beside a random second?
 
     python addon_tests/bench/better_path.py SCENE.blend ... --out DIR [--part 0.25] [--random 4] [--most 4] [--turn 90]
         [--tried N]

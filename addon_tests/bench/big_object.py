@@ -1,4 +1,4 @@
-"""Is an object that is bigger than one position can stand for lit better at several? A sofa, as a virtual object.
+"""A big object, a virtual sofa: is it lit better at several positions than at one?
 
 The sofa, 2.2 m long, is estimated at the positions of an even split, and compared at every n-th frame in three ways:
 under the light of the position that is nearest to its middle, under the mean of all, and with every point under the

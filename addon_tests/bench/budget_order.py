@@ -1,4 +1,4 @@
-"""Are the largest parts of an error budget in the same order when everything is rendered anew? Two figures say so.
+"""The order of an error budget's parts: are the largest in the same order when everything is rendered anew?
 
 Strictly: the three parts that take off most are in the same order anew, however little they differ and whether or not
 the budget says that they may as well harm.

@@ -1,4 +1,4 @@
-"""What does carrying the light between estimates do to the light in use? A table over runs and recordings.
+"""Carried light: what does carrying it between estimates do to the light in use? A table over runs and recordings.
 
     python addon_tests/bench/carried_light.py out/light_intensity out/light_temperature [--estimator projection]
     python addon_tests/bench/carried_light.py --lamp RECORDING ...

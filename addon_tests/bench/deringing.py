@@ -1,4 +1,4 @@
-"""What does it cost in error to take the ringing off an estimate before it is shown?
+"""De-ringing: what does it cost in error to take the ringing off an estimate before it is shown?
 
     python addon_tests/bench/deringing.py FOLDER_OF_TEST_ROOMS
 

@@ -1,4 +1,4 @@
-"""What does a drifting exposure cost the light, followed and ignored, beside one that is locked?
+"""Drift of the exposure: what does it cost the light, followed and ignored, beside an exposure that is locked?
 
     xihe record ROOM.blend --out ROOM --truth --phone ipad_pro_lidar --effect auto_exposure=on     (for each room)
     python addon_tests/bench/drift.py ROOM ...

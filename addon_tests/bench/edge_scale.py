@@ -1,4 +1,4 @@
-"""What would 100,000 phones take of workers and of Redis? From two workers that share their sessions, measured.
+"""The scale of the edge service: what would 100,000 phones take? From two workers with one Redis, measured.
 
     python addon_tests/bench/edge_scale.py [--seconds 10] [--rounds 3] [--clients 24] [--estimator lattice]
 

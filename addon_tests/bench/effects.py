@@ -1,4 +1,4 @@
-"""What does the plan of effects save, and does its picture stay the same? A table over the example scenes.
+"""The plan of effects: what does it save, and does its picture stay the same? A table over the example scenes.
 
     python addon_tests/bench/effects.py [--scenes living_room,courtyard] [--size 128x96] [--samples 4] [--seeds 16]
 

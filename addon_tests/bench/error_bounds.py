@@ -1,4 +1,4 @@
-"""What does each stage's arithmetic cost? Prints the table of docs/error_bounds.md; exit 1 if a bound does not hold.
+"""Error bounds: what does each stage's arithmetic cost? The table of docs/error_bounds.md; exit 1 if one does not hold.
 
 Run it as `python addon_tests/bench/error_bounds.py`. Every figure is the largest error found on seeded input, against
 the same formula in float64, all pairs, or an integral by brute force.

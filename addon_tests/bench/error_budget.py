@@ -1,4 +1,4 @@
-"""Is the error budget right? Its three largest parts beside sessions that are rendered anew with that part perfect.
+"""The error budget: is it right? Its three largest parts beside sessions rendered anew with that part perfect.
 
 The budget makes parts perfect on captures that are there. Here each is made perfect in the scene itself, and all is
 rendered again with another seed: the path, and the truth, a satin ball that is put into the room and path-traced from

@@ -1,4 +1,4 @@
-"""What does an estimate of the lattice network cost, alone and in batches, and what the paper's network?
+"""Estimates: what does one of the lattice network cost, alone and in batches, and what the paper's network?
 
     python addon_tests/bench/estimate.py [--repeats 30]
 

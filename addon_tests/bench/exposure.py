@@ -1,4 +1,4 @@
-"""What does each way of metering clip? A table over scenes.
+"""Exposure: what does each way of metering clip? A table over scenes.
 
     python addon_tests/bench/exposure.py blend_scenes/*.blend
 

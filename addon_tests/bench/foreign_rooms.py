@@ -1,4 +1,4 @@
-"""How good are the estimators, as shipped, in rooms that nobody here made? In coefficients, and in pictures.
+"""Estimators as shipped, in rooms that nobody here made: how good are they? In coefficients, and in pictures.
 
     xihe train cache --all-rooms --data ROOM --out SAMPLED      # for each room
     python addon_tests/bench/foreign_rooms.py SAMPLED/clouds_sphere_1280_test ... [--also xihenet]

@@ -1,4 +1,4 @@
-"""What a benchmark is given on its command line; its docstring, which --help shows, says what the words mean."""
+"""The command line of a benchmark, whose docstring, which --help shows, says what the words mean."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Make a room of Infinigen one that estimators are judged by: places for objects, and a walk that looks at them.
+"""A room of Infinigen, made one that estimators are judged by: places for objects, and a walk that looks at them.
 
     python addon_tests/bench/infinigen_room.py OUT/scene.blend ROOM.blend --room living-room --seed 1
     xihe dataset scene ROOM.blend --out FOLDER --at place_0,place_1,place_2,place_3

@@ -1,4 +1,4 @@
-"""How much does a room's light change where the room is moved, turned, or scaled? Prints a table of the docs.
+"""Invariance: how much does a room's light change where the room is moved, turned, or scaled? A table of the docs.
 
 Run it as `python addon_tests/bench/invariance.py` for docs/error_bounds.md; exit 1 if a bound does not hold. Figures
 are the largest found of the norm of the difference of nine coefficients over their own norm, the light turned back. The

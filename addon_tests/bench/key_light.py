@@ -1,4 +1,4 @@
-"""Does the key light point at the lamp, and does it stay there?
+"""The key light: does it point at the lamp, and does it stay there?
 
 A walk through each scene with the three-sphere rig. The lamp at a sphere is the patch of 10 degrees with most light in
 a rendered mirror ball; where one elsewhere has nine tenths of that or more there are two, and no key light is right.

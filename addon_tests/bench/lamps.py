@@ -1,4 +1,4 @@
-"""How far is the reference light off under a single lamp, where light is known by a formula?
+"""Single lamps: how far is the reference light off under one, where light is known by a formula?
 
     python addon_tests/bench/lamps.py [--presets draft,balanced,accurate] [--seeds 20]
 

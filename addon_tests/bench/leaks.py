@@ -1,4 +1,4 @@
-"""How often does a room leak through near surfaces, and what do patches and facing do to the light? Tables of the docs.
+"""Leaks through near surfaces: how frequent are they, and what do patches and facing do to them? Tables of the docs.
 
     python addon_tests/bench/leaks.py blend_scenes/living_room.blend ROOM.blend ...
 

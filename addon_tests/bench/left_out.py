@@ -1,4 +1,4 @@
-"""Which estimator is the best where no light probe has been? A table over walks through scenes with simulated phones.
+"""Left-out frames: which estimator is the best where no light probe has been? A table over simulated phones' walks.
 
     python addon_tests/bench/left_out.py room_a.blend room_b.blend ...
 

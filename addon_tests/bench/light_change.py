@@ -1,4 +1,4 @@
-"""What does following a change of the light do to the light in use? A table over the captures of previs runs.
+"""A change of the light: what does following it do to the light in use? A table over the captures of previs runs.
 
     python addon_tests/bench/light_change.py out/living_room out/lamp_off ...
 

@@ -1,4 +1,4 @@
-"""What does each part of a light bring to the picture? Mirror, matte silver and diffuse sphere under each of them.
+"""Parts of a light: what does each bring to the picture? Mirror, matte silver and diffuse sphere under each of them.
 
 One walk along the path, and at every n-th of its frames the spheres under all of the estimate as spherical harmonics,
 under its key light and the rest, and under those with a picture for glossy rays; the same of `truth`. Errors are of

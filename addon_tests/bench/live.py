@@ -1,4 +1,4 @@
-"""How long does it take from moving an object to its new light, after a run?
+"""Live light: how long does it take from moving an object to its new light, after a run?
 
     xihe previs blend_scenes/living_room.blend --out out --preset draft
     python addon_tests/bench/live.py blend_scenes/living_room.blend out

@@ -1,4 +1,4 @@
-"""What does a real mirror sphere tell of the light, beside estimators that look at the room? And what does it cost?
+"""A real mirror sphere: what does it tell of the light, beside estimators that look at the room, and what does it cost?
 
 The three-sphere rig walks through each scene as in `light_parts.py`. At every n-th frame a mirror sphere stands at each
 position in turn, as GLEAM has it, and its light is projected. Errors are the SHC RMSE against the reference light of

@@ -1,4 +1,4 @@
-"""What is it worth to light a virtual object where it is, when it moves through sun and shade?
+"""A moving virtual object, in sun and shade: what is it worth to light it where it is?
 
 A ball goes its way through an example scene, in a run of `draft` at 96x72 and 4 samples. Beside each error stands that
 of the same chain on the same captures with the ball's position left at its first place, as it was before objects were

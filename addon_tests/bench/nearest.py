@@ -1,4 +1,4 @@
-"""What does it cost to send every point to its true nearest anchor? Prints milliseconds and wrong answers.
+"""The nearest anchor: what does it cost to find the true one for every point? Prints milliseconds and wrong answers.
 
 Run it as `python addon_tests/bench/nearest.py [--repeats 60] [--points 1000000]`, calls of each method and points for
 the wrong answers; it needs the extra `bench` (SciPy). Methods take turns, one call each, so that what else the machine

@@ -1,4 +1,4 @@
-"""When do estimates arrive over each network? 100,000 requests of 4,249 bytes over each.
+"""The phone's networks: when do estimates arrive over each? 100,000 requests of 4,249 bytes over each.
 
     python addon_tests/bench/phone.py [--seed 0]
 

@@ -1,4 +1,4 @@
-"""Does `accurate` have at most half of `draft`'s error, and does `balanced` lie between, on every scene?
+"""Presets: does `accurate` have at most half of `draft`'s error, and does `balanced` lie between, on every scene?
 
     python addon_tests/bench/presets.py --out DIR SCENE.blend...        about 5 minutes a scene
 

@@ -1,4 +1,4 @@
-"""How far is the reference light off, held against renders that know nothing of how it is measured?
+"""The reference light: how far is it off, held against renders that know nothing of how it is measured?
 
     python addon_tests/bench/reference.py SCENE.blend... [--presets draft] [--places 2] [--frames 1] [--seeds N]
 

@@ -1,4 +1,4 @@
-"""What does the work around Cycles cost, and does memory stay flat? Two tables.
+"""Rendering: what does the work around Cycles cost, and does memory stay flat? Two tables.
 
     python addon_tests/bench/rendering.py [--frames 8] [--captures 300]
 

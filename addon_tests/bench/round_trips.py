@@ -1,4 +1,4 @@
-"""What does another layout cost the light of a recorded session? Each is written from it, read again and replayed.
+"""Round trips: what does another layout cost the light of a recording? Each is written, read again and replayed.
 
     xihe record ROOM.blend --out ROOM --truth
     python addon_tests/bench/round_trips.py ROOM

@@ -1,4 +1,4 @@
-"""What do a noise target and renders that are not made twice save, at equal noise of the light?
+"""The sample count: what do a noise target and renders that are not made twice save, at equal noise of the light?
 
     python addon_tests/bench/sample_count.py [--size 128x96] [--presets balanced,draft]
 

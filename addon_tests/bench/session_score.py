@@ -1,4 +1,4 @@
-"""Does the score without truth order estimators as their true errors do? Recordings with the true light beside them.
+"""The score without truth: does it order estimators as true errors do? Recordings with the true light beside them.
 
     xihe record ROOM.blend --out ROOM --truth        (for each room)
     python addon_tests/bench/session_score.py ROOM ...

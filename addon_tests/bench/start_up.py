@@ -1,4 +1,4 @@
-"""What the enabled add-on adds to Blender's start, in a whole Blender: `XIHE_BLENDER=blender python .../start_up.py`.
+"""Blender's start: what does the enabled add-on add to it? `XIHE_BLENDER=blender python addon_tests/bench/start_up.py`.
 
 Installs the extension for a user of its own, then takes the time that Blender needs to import and register it, in a new
 process each time: the add-on is disabled, its modules are forgotten, and it is enabled again.

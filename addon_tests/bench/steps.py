@@ -1,4 +1,4 @@
-"""What does one step of the chain cost, without rendering? A table against the budget.
+"""Steps of the chain: what does one cost, without rendering? A table against the budget.
 
     python addon_tests/bench/steps.py [--repeats 50]
 

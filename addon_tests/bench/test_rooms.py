@@ -1,4 +1,4 @@
-"""How good is each estimator, as shipped, on rooms that nothing was trained on? And what do patches and facing do?
+"""Estimators as shipped, on the test rooms: how good is each? And what do patches and facing do?
 
     python addon_tests/bench/test_rooms.py FOLDER_OF_TEST_ROOMS --training FOLDER_OF_TRAINING_ROOMS
 

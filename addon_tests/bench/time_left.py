@@ -1,4 +1,4 @@
-"""How well does a run know when it will be done? What it said at a tenth of its time, beside what was really left.
+"""The time left of a run: what it said at a tenth of its time, beside what was really left.
 
     python addon_tests/bench/time_left.py SCENE.blend ... [--frames 1:24] [--preset draft]
 

@@ -1,4 +1,4 @@
-"""What do trigger thresholds cost, and what do they save? A table over the captures that previs runs kept.
+"""Trigger thresholds: what do they cost, and what do they save? A table over the captures that previs runs kept.
 
     python addon_tests/bench/trigger.py out/living_room out/light_temperature ...
 

@@ -1,4 +1,4 @@
-"""How well could anyone guess? The error of an estimate if all that nobody saw were known, or all that was seen.
+"""Unseen light: the error of an estimate if all that nobody saw were known, or all that was seen.
 
     python addon_tests/bench/unseen_light.py ROOMS... [--estimator lattice]
 

@@ -1,4 +1,4 @@
-"""Is exported light right in the engines? A white sphere in each of them, beside the same light in Cycles.
+"""Exported light: is it right in the engines? A white sphere in each of them, beside the same light in Cycles.
 
     make prove-exports                                   # or, once the packages are there:
     python addon_tests/engines/prove.py OUT [--engines three,filament]

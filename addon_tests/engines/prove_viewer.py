@@ -1,4 +1,4 @@
-"""Does the viewer of a run work in a browser, and does it show what Cycles shows?
+"""The viewer of a run: does it work in a browser, and does it show what Cycles shows?
 
     xihe previs blend_scenes/living_room.blend --out out/living_room --preset draft
     python addon_tests/engines/prove_viewer.py out/living_room out/viewer

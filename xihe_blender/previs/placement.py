@@ -1,4 +1,4 @@
-"""The placement map: where in the room will AR light fail, at the end of the path, of all places for an object?
+"""The placement map: where in the room will AR light fail? At every place for an object, at the end of the path.
 
 The path is captured once, without virtual objects; then the chain runs on the captures for each place, and nothing more
 is rendered (`kept_session`). What cannot be known so, the true error, is measured at a few places on request.

@@ -1,4 +1,4 @@
-"""How does a script use Blender's window as an artist would: look, rest the mouse on something, click, press keys?
+"""Steps of a script in Blender's window, as an artist takes them: look, rest the mouse on something, click, press keys.
 
 Runs inside a Blender with a window. A scenario is a generator: it acts, and yields the seconds to wait before it goes
 on, during which Blender draws and handles what the mouse and the keys did. `play` drives it from a timer and ends
