@@ -26,9 +26,9 @@ def main() -> None:
     bench = Image.open(options.parts).convert("RGB")
     width, size = bench.width // N_COLUMNS, ((RIGHT - LEFT) * LARGER, (BOTTOM - TOP) * LARGER)
     strip = Image.new("RGB", (size[0] * len(COLUMNS), size[1]))
-    for place, column in enumerate(COLUMNS):
+    for index, column in enumerate(COLUMNS):
         own = bench.crop((column * width + LEFT, TOP, column * width + RIGHT, BOTTOM))
-        strip.paste(own.resize(size, Image.Resampling.LANCZOS), (place * size[0], 0))
+        strip.paste(own.resize(size, Image.Resampling.LANCZOS), (index * size[0], 0))
     strip.save(options.picture, optimize=True)
 
 

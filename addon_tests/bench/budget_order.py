@@ -63,7 +63,7 @@ def print_case(scene: str, item: ObjectBudget, anew: ObjectBudget, order: Order)
     found = {part.name: part for part in anew.parts if part.state == "measured"}
     for part in (part for part in item.largest_first if part.name in found):
         doubt = "" if part.is_certain else "  not certain"
-        print(f"    {part.name:14} {said(item, part)}   anew {said(anew, found[part.name])}{doubt}")
+        print(f"    {part.name:14} {format_part(item, part)}   anew {format_part(anew, found[part.name])}{doubt}")
     print(f"    strictly: the three largest are {'' if order.strict else 'not '}in the same order")
     print(f"    with intervals: {sum(order.apart.values())} of {len(order.apart)} pairs apart are in the same order")
     for (more, less), difference in order.untold.items():
@@ -71,7 +71,7 @@ def print_case(scene: str, item: ObjectBudget, anew: ObjectBudget, order: Order)
     print(end="", flush=True)
 
 
-def said(item: ObjectBudget, part: BudgetPart) -> str:
+def format_part(item: ObjectBudget, part: BudgetPart) -> str:
     gain, low, high = (100 * item.relative(value) for value in (part.gain, part.low, part.high))
     return f"{gain:6.1f}" + (f" ({low:.1f} to {high:.1f})" if part.interval else "")
 

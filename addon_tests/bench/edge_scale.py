@@ -43,11 +43,11 @@ class Served:
     async def measure(self, n_clients, seconds):
         clients = await opened(self.port, n_clients)
         await as_many_as_go(clients, 1)
-        before_s, before = self.cpu_s(), self.store.told()
+        before_s, before = self.cpu_s(), self.store.statistics()
         answers = await as_many_as_go(clients, seconds)
         n, spent_s = len(answers.latencies_s), self.cpu_s() - before_s
         assert set(answers.statuses) == {200}, answers
-        more = {name: value - before[name] for name, value in self.store.told().items()}
+        more = {name: value - before[name] for name, value in self.store.statistics().items()}
         figures = {"lights/s": n / answers.seconds, "lights per CPU s": n / spent_s}
         figures["with Redis"] = n / (spent_s + more.pop("CPU s"))
         self.rounds.append(figures | {f"{name} a light": value / n for name, value in more.items()})

@@ -48,8 +48,8 @@ def light_above_white(scene: bpy.types.Scene, exposure: float) -> tuple[float, f
     """Means over the virtual objects, or empties named `placement*`: shares of sphere and of energy."""
     places, shares = positions_of(scene), []
     with open_reference_probe(scene, places, PrevisSettings(preset="draft").reference) as probe:
-        for place in range(len(places)):
-            light = probe.light_at(place, scene.frame_start, exposure)
+        for index in range(len(places)):
+            light = probe.light_at(index, scene.frame_start, exposure)
             energy = share_above_white(light.measured.ldr, light.measured.hdr)
             shares.append((sphere_above_white(light.ball * np.float32(exposure)), energy or 0.0))
     sphere, energy = np.mean(shares, axis=0)

@@ -139,7 +139,7 @@ MEDIANS = ("saw", "whole", "did not", "truth", "l = 1")
 COUNTS = ("none", "equal", "away")
 
 
-def told(name: str, found: dict[str, list[float]]) -> str:
+def row(name: str, found: dict[str, list[float]]) -> str:
     medians = (f"{of} {np.nanmedian(found[of]):.1f} ({len(found[of])})" if found[of] else f"{of} -" for of in MEDIANS)
     return ", ".join([f"{name:26}", *medians, *(f"{of} {len(found[of])}" for of in COUNTS)])
 
@@ -152,8 +152,8 @@ def main() -> None:
         found = angles(*scene_of_chain(file, options.out / file.stem, settings), settings.estimator)
         for name, values in found.items():
             of_all[name] += values
-        print(told(file.stem, found), flush=True)
-    print(told("all", of_all))
+        print(row(file.stem, found), flush=True)
+    print(row("all", of_all))
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ def observe(path: Path) -> dict[str, Any]:
     for size in SIZES:
         seen |= _frames(scene, frames, exposure, size)
     with open_reference_probe(scene, positions, ProbeSettings(noise_target=0.03)) as probe:
-        light = [probe.light_at(place, int(frames[0]), exposure).measured.ldr for place in range(len(positions))]
+        light = [probe.light_at(index, int(frames[0]), exposure).measured.ldr for index in range(len(positions))]
     seen["truth"] = np.array(light)
     return seen | _rays(scene, seen)
 

@@ -110,9 +110,9 @@ def walk(stage: Stage, sample_count: SampleCount, states: Mapping[int, SceneStat
             scanner.move_to(frame)
             if reuse.captures[frame] == frame:
                 captured[frame] = scanner.acquire_environment_scan()
-            for place, probe in enumerate(plan.probes):
+            for index, probe in enumerate(plan.probes):
                 if probe.name in names and reuse.probes[frame, probe.name] == frame:
-                    lights[probe.object_name] = reference_probe.light_at(place, frame, exposure).measured.hdr
+                    lights[probe.object_name] = reference_probe.light_at(index, frame, exposure).measured.hdr
                     n_probes += 1
             compared[frame] = reuse.captures[frame], dict(lights)
     walk_s, start, made = time.process_time() - start, time.process_time(), {}

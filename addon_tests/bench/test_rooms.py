@@ -49,10 +49,10 @@ def seen_in(path: Path) -> Iterator[Seen]:
     """All clouds of a room."""
     room = read_npz(path)
     seen = [unproject_frame(frame) for frame in frames_of(room)]
-    for place, position_m in enumerate(room["positions_m"]):
-        truths = {target: room[f"sh_{target}"][place] for target in ("ldr", "hdr")}
+    for index, position_m in enumerate(room["positions_m"]):
+        truths = {target: room[f"sh_{target}"][index] for target in ("ldr", "hdr")}
         merged = [UnitSphereCloud.empty(LATTICE.n)] * len(SAMPLINGS)
-        shown = np.flatnonzero(room["is_in_view"][:, place] & room["is_unhidden"][:, place])
+        shown = np.flatnonzero(room["is_in_view"][:, index] & room["is_unhidden"][:, index])
         for view in shown:
             faced = sample_unit_sphere(seen[view], position_m, LATTICE)
             plain = sample_unit_sphere(replace(seen[view], grid=None), position_m, LATTICE)

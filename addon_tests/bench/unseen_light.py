@@ -61,13 +61,13 @@ def errors_of(room: TrainingRoom, estimator: Estimator) -> list[np.ndarray]:
     """Of one view and of all: (5,) root mean square over the clouds."""
     squares: list[list[np.ndarray]] = [[], []]
     means = [srgb_to_linear(view.srgb).mean(axis=0) for view in room.views]
-    for place, position in enumerate(room.positions_m):
+    for index, position in enumerate(room.positions_m):
         sampled = [sample_unit_sphere(view, position, LATTICE) for view in room.views]
-        true_srgb = linear_to_srgb(np.clip(seen_in_ball(room.balls[place], LATTICE.directions), 0, 1))
-        cases = [(0, sampled[view], means[view]) for view in np.flatnonzero(room.is_in_view[:, place])]
+        true_srgb = linear_to_srgb(np.clip(seen_in_ball(room.balls[index], LATTICE.directions), 0, 1))
+        cases = [(0, sampled[view], means[view]) for view in np.flatnonzero(room.is_in_view[:, index])]
         for is_all, cloud, ambient in [*cases, (1, reduce(merge_in_sight, sampled), np.mean(means, axis=0))]:
             lights = lights_of(cloud, true_srgb, ambient, estimator)
-            squares[is_all].append(((lights - room.sh_ldr[place]) ** 2).mean(axis=(1, 2)))
+            squares[is_all].append(((lights - room.sh_ldr[index]) ** 2).mean(axis=(1, 2)))
     return [np.sqrt(np.mean(one, axis=0)) for one in squares if one]
 
 

@@ -72,8 +72,8 @@ def with_hair():
     scene = stage()
     curves = bpy.data.hair_curves.new("Fur")
     curves.add_curves([2, 2])
-    for place, point in enumerate(curves.points):
-        point.position = (0.4 + 0.1 * (place // 2), 0.0, 0.5 * (place % 2))
+    for index, point in enumerate(curves.points):
+        point.position = (0.4 + 0.1 * (index // 2), 0.0, 0.5 * (index % 2))
         point.radius = 0.02
     add(scene, "Fur", curves)
     return scene

@@ -87,8 +87,8 @@ class _Walk:
         elif rna.type == "COLLECTION":
             members = [item for item in value if not _is_trigger_marker(item)]
             self.table[f"{path}#"] = len(members)
-            for place, member in enumerate(members):
-                self.struct(f"{path}/{place}", member)
+            for index, member in enumerate(members):
+                self.struct(f"{path}/{index}", member)
         elif getattr(rna, "is_array", False):
             self.table[path] = str([list(part) if hasattr(part, "__len__") else part for part in value])
         else:

@@ -13,7 +13,7 @@ import pytest
 from previs_runs import N_FRAMES, QuickProbes, files_below, unfinished_files, walk
 from results_schema import check_results, read_strictly, without_times
 from tiny_scenes import geometry_nodes, saved
-from xihe_process import ROOT, said, typed, xihe
+from xihe_process import ROOT, output_of_command, typed, xihe
 
 from addon_tests.pure.commands import assert_refused, xihe_here
 from xihenet import __version__
@@ -181,7 +181,7 @@ def stopped(blend, out, doing, number):
             process.send_signal(number)
             break
     stdout, rest = process.communicate(timeout=100)
-    return process.returncode, said(stdout), said("".join(lines) + rest)
+    return process.returncode, output_of_command(stdout), output_of_command("".join(lines) + rest)
 
 
 def written_before(finished, first_missing, out):

@@ -80,8 +80,8 @@ def test_a_room_whose_bytes_changed_is_refused_or_read_and_nothing_else(room, tm
     path, rng = tmp_path / "room_000000.npz", np.random.default_rng(0)
     save_room(path, room)
     right, n_refused = path.read_bytes(), 0
-    for place in rng.integers(0, len(right), 200):
-        path.write_bytes(right[:place] + bytes([right[place] ^ int(rng.integers(1, 256))]) + right[place + 1 :])
+    for offset in rng.integers(0, len(right), 200):
+        path.write_bytes(right[:offset] + bytes([right[offset] ^ int(rng.integers(1, 256))]) + right[offset + 1 :])
         try:
             load_room(path)
         except ValueError as error:

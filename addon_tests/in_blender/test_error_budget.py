@@ -124,9 +124,9 @@ def test_a_budget_is_the_mean_over_its_seeds_and_says_how_sure_each_part_is(both
     each = [budget(scene, tmp_path / f"{seed}", replace(NOISY, seed=seed)) for seed in (0, 1)]
     (item,), singles = both[1].objects, [one.objects[0] for one in each]
     assert item.error == pytest.approx(np.mean([one.error for one in singles]))
-    for place, part in enumerate(item.parts):
-        of_seeds = [one.parts[place].gain for one in singles]
-        assert part.gain == pytest.approx(np.mean(of_seeds)) and singles[0].parts[place].interval is None
+    for index, part in enumerate(item.parts):
+        of_seeds = [one.parts[index].gain for one in singles]
+        assert part.gain == pytest.approx(np.mean(of_seeds)) and singles[0].parts[index].interval is None
         if part.state == "measured":
             assert sum(part.interval) / 2 == pytest.approx(part.gain)
             assert part.interval[1] - part.gain == pytest.approx(12.706 * abs(of_seeds[0] - of_seeds[1]) / 2)
@@ -149,8 +149,8 @@ def room_around_a_ball(*lamps, n_frames=2, walls=0.5):
     scene.frame_end = n_frames
     set_world(scene)
     box(scene, "Room", (0, 0, 0), (4, 4, 4), material("Walls", (walls,) * 3), inward=True)
-    for place, (centre, size, strength) in enumerate(lamps):
-        box(scene, f"Lamp {place}", centre, size, material(f"Light {place}", (1, 1, 1), emission=strength))
+    for index, (centre, size, strength) in enumerate(lamps):
+        box(scene, f"Lamp {index}", centre, size, material(f"Light {index}", (1, 1, 1), emission=strength))
     sphere(scene, "Ball", (0, 0, 0), 0.1, collection=virtual_collection(scene, create=True))
     phone(scene, (0, -1.9, 0), (0, 0, 0)).data.angle = np.radians(100)
     return scene

@@ -60,9 +60,9 @@ def test_labels_that_would_overlap_are_moved_down_until_none_does():
     taken = []
     for x, y in rng.uniform(0, 60, (40, 2)):
         taken.append(overlay.below_others((x, y, x + 50, y + 12), taken))
-    for place, (left, bottom, right, top) in enumerate(taken):
+    for index, (left, bottom, right, top) in enumerate(taken):
         assert top - bottom == pytest.approx(12)
-        for other in taken[:place]:
+        for other in taken[:index]:
             assert left >= other[2] or other[0] >= right or bottom >= other[3] - 1e-9 or other[1] >= top - 1e-9
     assert overlay.below_others((0, 0, 1, 1), []) == (0, 0, 1, 1)
 

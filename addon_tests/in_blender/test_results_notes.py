@@ -23,7 +23,7 @@ from xihe_blender.previs.results_notes import (
 from xihe_blender.previs.settings import PrevisSettings
 
 
-def said(exposure, radiance, around=None, *, is_chosen=True, target="hdr"):
+def notes_of(exposure, radiance, around=None, *, is_chosen=True, target="hdr"):
     """All that is said of the light of a room of one even radiance; `around` is that at the object."""
     mean = (radiance if around is None else around) * exposure
     clipped = min(mean, 1.0)
@@ -43,22 +43,22 @@ def said(exposure, radiance, around=None, *, is_chosen=True, target="hdr"):
 
 @pytest.mark.parametrize("target", ["hdr", "ldr"])
 def test_a_room_is_judged_by_its_light_and_not_by_the_exposure_that_was_chosen(target):
-    assert said(1.7, 0.4, target=target) == []
+    assert notes_of(1.7, 0.4, target=target) == []
     for exposure in (1e-5, 1e-3, 5e-3):
-        (black,) = said(exposure, 0.4, target=target)
+        (black,) = notes_of(exposure, 0.4, target=target)
         assert black.startswith(f"At the chosen exposure of {exposure:g} the phone saw next to nothing")
-    assert said(1e-2, 0.4, target=target) == []
-    (white,) = said(200.0, 0.4, target=target)
+    assert notes_of(1e-2, 0.4, target=target) == []
+    (white,) = notes_of(200.0, 0.4, target=target)
     assert white.startswith("At the chosen exposure of 200 the captures are white")
 
 
 @pytest.mark.parametrize("is_chosen", [True, False])
 def test_a_dim_or_dark_room_and_a_buried_object_are_named_at_any_exposure(is_chosen):
-    (dim,) = said(500.0, 1e-3, is_chosen=is_chosen)
+    (dim,) = notes_of(500.0, 1e-3, is_chosen=is_chosen)
     assert "light threshold of 0.01" in dim
-    (dark,) = said(2.0, 0.0, is_chosen=is_chosen)
+    (dark,) = notes_of(2.0, 0.0, is_chosen=is_chosen)
     assert dark.startswith("Neither the phone nor a light probe saw any light")
-    (buried,) = said(2.0, 0.4, 0.0, is_chosen=is_chosen)
+    (buried,) = notes_of(2.0, 0.4, 0.0, is_chosen=is_chosen)
     assert "is it inside an object?" in buried
 
 

@@ -253,7 +253,7 @@ def metal(roughness):
 
 
 @pytest.mark.parametrize(
-    ("place", "look", "tolerance"),
+    ("index", "look", "tolerance"),
     [
         (0, lambda: metal(0.0), 0.006),
         (1, lambda: metal(SILVER_ROUGHNESS), 0.015),
@@ -261,10 +261,10 @@ def metal(roughness):
     ],
     ids=["mirror", "matte silver", "grey diffuse"],
 )
-def test_the_pictured_sphere_is_the_one_that_cycles_renders(place, look, tolerance):
+def test_the_pictured_sphere_is_the_one_that_cycles_renders(index, look, tolerance):
     coefficients = np.random.default_rng(0).normal(size=(9, 3)) * 0.3
     coefficients[0] += 3
-    expected = three_spheres(coefficients, SIDE)[place]
+    expected = three_spheres(coefficients, SIDE)[index]
     # The rim, where a pixel mixes sphere and background and the lobe of a rough metal stretches, is left out.
     x = (2 * np.arange(SIDE) + 1) / SIDE - 1
     inner = sphere_mask(SIDE) & (x[None] ** 2 + x[:, None] ** 2 < 0.8)

@@ -25,7 +25,7 @@ def typed(*arguments):
     return [sys.executable, "-W", "error", "-m", "xihe_blender", *words]
 
 
-def said(text):
+def output_of_command(text):
     """`text` of a process without what a whole Blender said before the command began."""
     return text.partition(BEGINS)[2] if bpy.app.binary_path else text
 
@@ -33,7 +33,9 @@ def said(text):
 def xihe(*arguments, **options):
     """Run the command; its exit code and what it said."""
     done = subprocess.run(typed(*arguments), cwd=ROOT, capture_output=True, text=True, timeout=100, **options)
-    return subprocess.CompletedProcess(done.args, done.returncode, said(done.stdout), said(done.stderr))
+    return subprocess.CompletedProcess(
+        done.args, done.returncode, output_of_command(done.stdout), output_of_command(done.stderr)
+    )
 
 
 if __name__ == "__main__":

@@ -85,8 +85,8 @@ def any_request(rng, requests):
 def changed(rng, content):
     """A few bytes others, or some cut out or doubled."""
     content = bytearray(content or b"\0")
-    for place in rng.integers(0, len(content), rng.integers(1, 5)):
-        content[place] = rng.integers(256)
+    for index in rng.integers(0, len(content), rng.integers(1, 5)):
+        content[index] = rng.integers(256)
     start, length = rng.integers(0, len(content)), rng.integers(1, 50)
     content[start : start + length] = bytes(content[start : start + length]) * int(rng.integers(0, 3))
     return bytes(content)

@@ -30,13 +30,13 @@ def trial(scene="room", seed=0, phone="perfect", estimator="lattice", error=0.1,
         )
         for frame in (1, 2, 3)
     ]  # fmt: skip
-    thetas = [
+    sweep = [
         TriggerFigures(factor=f, theta=0.02 * f, coverage_theta=0.05 * f, per_minute=60 / (1 + f), shc_rmse=error)
         for f in FACTORS
     ]
     counts = dict.fromkeys(("n_frames", "n_active_frames", "n_compared_frames", "n_estimates"), 3)
     means = {"shc_rmse": error, "coverage": 0.5, **HALF, "psnr": psnr, "estimates_per_minute": 30.0}
-    given = {"frames": tuple(frames), "trigger_sweep": tuple(thetas), **counts, **means, **more}
+    given = {"frames": tuple(frames), "trigger_sweep": tuple(sweep), **counts, **means, **more}
     return Trial(
         unit=f"{scene}_{seed}", scene=scene, seed=seed, number=0, phone=phone, estimator=estimator,
         payload_bytes=1000, **given,

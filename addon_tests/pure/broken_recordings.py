@@ -74,7 +74,7 @@ def without_none(entries):
     return {name: value for name, value in entries.items() if value is not None}
 
 
-def said(name, **entries):
+def with_entries(name, **entries):
     """JSON in which entries of an object are others; None leaves one out."""
 
     def harm(path):
@@ -382,7 +382,7 @@ CAMERA = f"keyframes/corrected_cameras/{STEM}.json"
 
 
 def polycam(**entries):
-    return said(CAMERA, **entries)
+    return with_entries(CAMERA, **entries)
 
 
 def gone(name):
@@ -418,7 +418,7 @@ CAMERA_FILE, POSES = "camera.json", "poses.txt"
 
 
 def plain(**entries):
-    return said(CAMERA_FILE, **entries)
+    return with_entries(CAMERA_FILE, **entries)
 
 
 PLAIN = {
@@ -476,16 +476,16 @@ NERFSTUDIO = {
     **of_pictures("images/2.png", "depth/2.png"),
     "garbage": (put(TRANSFORMS, GARBAGE), "expected JSON"),
     "a list": (put(TRANSFORMS, "[]"), "expected frames"),
-    "a scale of 0": (said(TRANSFORMS, applied_scale=0), "applied_scale: expected a positive number"),
-    "a fish-eye": (said(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
-    "a panorama": (said(TRANSFORMS, camera_model="EQUIRECTANGULAR"), "undistort the pictures"),
-    "a camera of OpenCV": (said(TRANSFORMS, camera_model="OPENCV"), NOTE + "Times are not known"),
-    "a focal length that is text": (said(TRANSFORMS, fl_x="40"), "fl_x: expected a number"),
-    "half a pixel": (said(TRANSFORMS, w=0.5), "w: expected a whole number of pixels"),
+    "a scale of 0": (with_entries(TRANSFORMS, applied_scale=0), "applied_scale: expected a positive number"),
+    "a fish-eye": (with_entries(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
+    "a panorama": (with_entries(TRANSFORMS, camera_model="EQUIRECTANGULAR"), "undistort the pictures"),
+    "a camera of OpenCV": (with_entries(TRANSFORMS, camera_model="OPENCV"), NOTE + "Times are not known"),
+    "a focal length that is text": (with_entries(TRANSFORMS, fl_x="40"), "fl_x: expected a number"),
+    "half a pixel": (with_entries(TRANSFORMS, w=0.5), "w: expected a whole number of pixels"),
     "missing": (remove(TRANSFORMS), "no recording that is known"),
-    "no frames": (said(TRANSFORMS, frames=[]), "expected frames, a list with at least one"),
-    "frames are no list": (said(TRANSFORMS, frames={}), "expected frames"),
-    "a frame is a number": (said(TRANSFORMS, frames=[1]), "expected frames"),
+    "no frames": (with_entries(TRANSFORMS, frames=[]), "expected frames, a list with at least one"),
+    "frames are no list": (with_entries(TRANSFORMS, frames={}), "expected frames"),
+    "a frame is a number": (with_entries(TRANSFORMS, frames=[1]), "expected frames"),
     "no pose": (in_frames(1, transform_matrix=None), "frame 1"),
     "a pose that mirrors": (in_frames(1, transform_matrix=MIRRORED.tolist()), "frame 1"),
     "no colour": (in_frames(1, file_path=None), "file_path is missing"),
@@ -562,13 +562,16 @@ def no_frames(folder):
 XIHE = {
     "no JSON": (put(SESSION, "{"), "session.json"),
     "a list": (put(SESSION, "[]"), "expected a JSON object"),
-    "another format": (said(SESSION, format="other"), "expected a JSON object with format"),
-    "a later version": (said(SESSION, version=2), "version: expected 1, got 2"),
-    "a negative exposure": (said(SESSION, reference_exposure=-1), "reference_exposure: expected a positive factor"),
-    "a trigger of words": (said(SESSION, trigger={"magic": 1}), "session.json"),
-    "files that are no list": (said(SESSION, files="frame.exr"), "files: expected a list of texts"),
-    "a file elsewhere": (said(SESSION, files=["../x.exr"]), "lies outside"),
-    "a file that is not there": (said(SESSION, files=["frame_000009.exr"]), "frame_000009.exr"),
+    "another format": (with_entries(SESSION, format="other"), "expected a JSON object with format"),
+    "a later version": (with_entries(SESSION, version=2), "version: expected 1, got 2"),
+    "a negative exposure": (
+        with_entries(SESSION, reference_exposure=-1),
+        "reference_exposure: expected a positive factor",
+    ),
+    "a trigger of words": (with_entries(SESSION, trigger={"magic": 1}), "session.json"),
+    "files that are no list": (with_entries(SESSION, files="frame.exr"), "files: expected a list of texts"),
+    "a file elsewhere": (with_entries(SESSION, files=["../x.exr"]), "lies outside"),
+    "a file that is not there": (with_entries(SESSION, files=["frame_000009.exr"]), "frame_000009.exr"),
     "no frames": (no_frames, "record again"),
     "a frame between is gone": (remove(FRAME), NOTE + "1 frame missing between the others"),
     "half a header": (cut(FRAME, 60), FRAME),

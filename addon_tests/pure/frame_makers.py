@@ -43,7 +43,7 @@ def write_channels(path, channels):
 
 def write_exr(path, radiance, plane_depth_m, colour="{}", plane_depth="Z"):
     """`colour` and `plane_depth` name the channels, such as "ViewLayer.Combined.{}" and "ViewLayer.Depth.Z"."""
-    channels = {colour.format(c): radiance[..., place] for place, c in enumerate("RGB")}
+    channels = {colour.format(c): radiance[..., index] for index, c in enumerate("RGB")}
     return write_channels(path, channels | ({plane_depth: plane_depth_m} if plane_depth else {}))
 
 

@@ -147,8 +147,8 @@ def broken(draw: st.DrawFn, right: bytes) -> bytes:
     content = bytearray(right)
     # Places from a generator: hypothesis likes the first ones best, and files break anywhere.
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    for place in rng.integers(0, len(content), draw(st.integers(0, 4))):
-        content[place] = rng.integers(256)
+    for index in rng.integers(0, len(content), draw(st.integers(0, 4))):
+        content[index] = rng.integers(256)
     if kind > 6:
         start, length = rng.integers(0, len(content)), rng.integers(1, 50)
         content[start : start + length] = bytes(content[start : start + length]) * int(rng.integers(0, 3))

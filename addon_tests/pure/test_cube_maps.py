@@ -43,7 +43,7 @@ def levels_of(document):
 def looked_up(faces, directions):
     majors = np.stack([along(major, directions) for major, _, _ in OPENGL])
     face, side = majors.argmax(axis=0), faces.shape[1]
-    s, t = (np.choose(face, [along(row[place], directions) for row in OPENGL]) / majors.max(axis=0) for place in (1, 2))
+    s, t = (np.choose(face, [along(row[index], directions) for row in OPENGL]) / majors.max(axis=0) for index in (1, 2))
     column, row = (np.minimum((one + 1) / 2 * side, side - 1).astype(int) for one in (s, t))
     return faces[face, row, column]
 

@@ -270,8 +270,8 @@ def test_a_folder_gets_the_json_and_a_picture_of_each_light(exr, tmp_path, answe
     content, _ = answer(*exr, "--at", AT, "--at", "0.5,2,0", "--out", out)
     assert content == read_strictly((out / "estimate.json").read_text(encoding="utf-8"))
     assert sorted(path.name for path in out.iterdir()) == ["estimate.json", "light_0.png", "light_1.png"]
-    for place, one in enumerate(content["positions"]):
-        assert (out / f"light_{place}.png").read_bytes() == encode_png(light_picture(one["sh_radiance"]))
+    for index, one in enumerate(content["positions"]):
+        assert (out / f"light_{index}.png").read_bytes() == encode_png(light_picture(one["sh_radiance"]))
 
 
 def test_the_same_command_gives_the_same_bytes_and_replaces_what_was_there(exr, tmp_path, capfd):

@@ -95,9 +95,9 @@ def test_what_the_openexr_package_writes_is_read(tmp_path, compression, n_parts,
     import OpenEXR
 
     pictures = [picture(seed, *size) for seed in range(n_parts)]
-    named = [{f"{place}.{name}": v for name, v in channels.items()} for place, channels in enumerate(pictures)]
+    named = [{f"{index}.{name}": v for name, v in channels.items()} for index, channels in enumerate(pictures)]
     header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
-    parts = [OpenEXR.Part(dict(header), dict(channels), f"part {place}") for place, channels in enumerate(named)]
+    parts = [OpenEXR.Part(dict(header), dict(channels), f"part {index}") for index, channels in enumerate(named)]
     with OpenEXR.File(parts) as file:
         file.write(str(tmp_path / "a.exr"))
     assert_equal(read_exr(tmp_path / "a.exr"), {name: v for channels in named for name, v in channels.items()})

@@ -73,7 +73,7 @@ def test_an_exr_comes_back_whatever_its_channels_are_called(tmp_path, camera, co
 def test_other_passes_and_other_layers_do_not_get_in_the_way(tmp_path, camera):
     dark, far = RADIANCE * 0, PLANE_DEPTH_M + 1
     channels = {f"A.Combined.{c}": dark[..., 0] for c in "RGBA"}  # a layer without plane depth
-    channels |= {f"B.Combined.{c}": RADIANCE[..., place] for place, c in enumerate("RGB")}
+    channels |= {f"B.Combined.{c}": RADIANCE[..., index] for index, c in enumerate("RGB")}
     channels |= {f"B.DiffCol.{c}": dark[..., 0] for c in "RGB"} | {"B.Depth.Z": PLANE_DEPTH_M, "C.Depth.Z": far}
     frame = read_frame(write_channels(tmp_path / "frame.exr", channels), camera, exposure=1)
     np.testing.assert_array_equal(frame.srgb_u8, encode_exposed(RADIANCE, 1))
@@ -181,7 +181,7 @@ def test_an_exr_that_is_no_frame_is_refused(tmp_path, camera, channels, said):
 @NEEDS_OPENEXR
 @pytest.mark.parametrize("compression", ["PIZ", "DWAA", "RLE", "HTJ2K256", "ZSTD"])
 def test_an_exr_of_another_compression_is_read_by_the_openexr_package(tmp_path, camera, compression, monkeypatch):
-    values = {c: RADIANCE[..., place] for place, c in enumerate("RGB")} | {"Z": PLANE_DEPTH_M}
+    values = {c: RADIANCE[..., index] for index, c in enumerate("RGB")} | {"Z": PLANE_DEPTH_M}
     path = write_by_package(tmp_path / "frame.exr", values, compression)
     frame = read_frame(path, camera, exposure=1)
     np.testing.assert_allclose(frame.plane_depth_m, PLANE_DEPTH_M, rtol=1e-2)

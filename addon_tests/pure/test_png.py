@@ -11,13 +11,13 @@ from xihenet.io.png import SIGNATURE, encode_png, write_png
 def decode_png(content):
     """A decoder for 8-bit RGB and RGBA with filters 0 and 1, written from the specification, and strict."""
     assert content.startswith(SIGNATURE)
-    place, chunks = len(SIGNATURE), {}
-    while place < len(content):
-        size = int.from_bytes(content[place : place + 4], "big")
-        kind, body = content[place + 4 : place + 8], content[place + 8 : place + 8 + size]
-        assert zlib.crc32(kind + body) == int.from_bytes(content[place + 8 + size : place + 12 + size], "big")
+    offset, chunks = len(SIGNATURE), {}
+    while offset < len(content):
+        size = int.from_bytes(content[offset : offset + 4], "big")
+        kind, body = content[offset + 4 : offset + 8], content[offset + 8 : offset + 8 + size]
+        assert zlib.crc32(kind + body) == int.from_bytes(content[offset + 8 + size : offset + 12 + size], "big")
         chunks[kind] = body
-        place += 12 + size
+        offset += 12 + size
     channels = {2: 3, 6: 4}[chunks[b"IHDR"][9]]
     assert list(chunks)[-1] == b"IEND" and chunks[b"IHDR"][8] == 8 and chunks[b"IHDR"][10:] == bytes([0, 0, 0])
     width, height = (int.from_bytes(chunks[b"IHDR"][k : k + 4], "big") for k in (0, 4))

@@ -101,8 +101,8 @@ def capture_of(scene: bpy.types.Scene) -> Capture | None:
 
 def captured_frames(capture: Capture) -> dict[int, CapturedFrame]:
     """The frames of a recording by frame of the timeline."""
-    places = frames_of_times([one.time_s for one in capture.frames])
-    return {number: capture.frames[place] for number, place in places.items()}
+    indices = frames_of_times([one.time_s for one in capture.frames])
+    return {number: capture.frames[index] for number, index in indices.items()}
 
 
 def read_captured(captured: CapturedFrame) -> RgbdFrame:
@@ -164,7 +164,7 @@ def import_capture(
 
 def _read(capture: Capture, numbered: Mapping[int, CapturedFrame], footage: Footage) -> Job[tuple[Scan, RgbdFrame]]:
     """A job: the pictures, the surfaces they show, and the first frame."""
-    chosen = {id(capture.frames[place]) for place in frames_to_scan(capture)}
+    chosen = {id(capture.frames[index]) for index in frames_to_scan(capture)}
     first = read_captured(next(iter(numbered.values())))
     places_m = [captured.camera.world_from_camera[:3, 3] for captured in capture.frames]
     # The middle one: a phone that loses its way may tell of places far away.

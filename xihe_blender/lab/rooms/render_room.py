@@ -108,8 +108,8 @@ def reference_lights(
 ) -> Iterator[ReferenceLight]:
     """The reference light at each position, one after the other."""
     with open_reference_probe(scene, positions_m, settings) as probe:
-        for place in range(len(positions_m)):
-            yield probe.light_at(place, frame, exposure)
+        for index in range(len(positions_m)):
+            yield probe.light_at(index, frame, exposure)
 
 
 def stored_room(

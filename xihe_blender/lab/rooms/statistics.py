@@ -53,9 +53,9 @@ def light_statistics(rooms: Iterable[StoredRoom], n_anchors: int = 1280) -> Ligh
         n_rooms += 1
         for frame, is_in_view in zip(frames_of(vars(room)), room.is_in_view, strict=True):
             points = unproject_frame(frame)
-            for place in np.flatnonzero(is_in_view):
-                lights.append(room.sh_ldr[place])
-                shares.append(coverage(sample_unit_sphere(points, room.positions_m[place], lattice)))
+            for index in np.flatnonzero(is_in_view):
+                lights.append(room.sh_ldr[index])
+                shares.append(coverage(sample_unit_sphere(points, room.positions_m[index], lattice)))
     if not lights:
         raise ValueError("light_statistics: expected rooms with positions in view, got none")
     sh = np.array(lights)
