@@ -204,6 +204,10 @@ def test_objects_of_a_library_override_are_made_virtual_together(tmp_path):
     assert make_room(scene, [chair, cushion]) == [chair, cushion]
     assert memberships() == before and virtual_objects(scene) == []
     assert (another.collection.children.keys(), props.children.keys()) == (["Props"], ["Furniture"])
+    make_virtual(scene, [chair, cushion])
+    props.children.link(overriding)  # By hand, in the outliner.
+    make_room(scene, [chair, cushion])
+    assert memberships() == before and virtual_objects(scene) == [] and props.children.keys() == ["Furniture"]
 
 
 def test_nothing_goes_into_or_out_of_a_collection_of_virtual_objects_that_is_an_override(scene, tmp_path):

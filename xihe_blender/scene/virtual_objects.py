@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 
 import bpy
 
@@ -177,7 +177,7 @@ def _overrides_of(
     return found
 
 
-def _move(scene: bpy.types.Scene, moved: bpy.types.Collection, homes: Iterable[bpy.types.Collection]) -> list[str]:
+def _move(scene: bpy.types.Scene, moved: bpy.types.Collection, homes: Collection[bpy.types.Collection]) -> list[str]:
     """Move a collection from wherever it hangs in `scene` below `homes`; one in another that moves goes with that.
 
     Gives the names of other scenes that showed it by a collection of both, and now do by their master collection.
@@ -187,9 +187,9 @@ def _move(scene: bpy.types.Scene, moved: bpy.types.Collection, homes: Iterable[b
         return []
     showing = [other for other in bpy.data.scenes if other.library is None and _holding(other, moved)]
     # Linked before it is unlinked, so that its objects stay selected.
-    for home in homes:
+    for home in set(homes).difference(above):
         home.children.link(moved)
-    for parent in above:
+    for parent in set(above).difference(homes):
         parent.children.unlink(moved)
     lost = [other for other in showing if not _holding(other, moved)]
     for other in lost:
