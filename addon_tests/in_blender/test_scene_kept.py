@@ -10,7 +10,7 @@ from tiny_scenes import add_lamp, box, empty_scene, key, light_strength, phone
 
 from xihe_blender.addon.results_in_blender import remove_everything
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
-from xihe_blender.scene.state import animated_paths, scene_kept
+from xihe_blender.scene.state import animated_paths, look_through_own_cameras, scene_kept
 
 SHORT = replace(SMALL, samples=2, frames=(1, 4))
 
@@ -197,6 +197,25 @@ def test_views_look_through_their_scenes_camera_though_a_copy_has_come_to_a_mark
         working.frame_set(4)
         assert working.camera == other
     assert view.camera == usual
+
+
+def test_a_view_in_local_view_keeps_its_camera_and_a_job_under_way_does_not_redraw_it_for_that():
+    scene, window = walk(4), bpy.context.window
+    (area,) = (area for area in window.screen.areas if area.type == "VIEW_3D")
+    (region,) = (region for region in area.regions if region.type == "WINDOW")
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        scene.objects[0].select_set(True)
+        assert bpy.ops.view3d.localview() == {"FINISHED"}
+        scene.camera = phone(scene, (0, -1, 1), (0, 0, 1), "Other")
+        window.view_layer.update()
+        assert area.spaces.active.camera != scene.camera
+        updates, noted = [], lambda scene, _: updates.append(scene)
+        bpy.app.handlers.depsgraph_update_post.append(noted)
+        look_through_own_cameras()
+        window.view_layer.update()
+        bpy.app.handlers.depsgraph_update_post.remove(noted)
+        bpy.ops.view3d.localview()
+    assert not updates
 
 
 @pytest.mark.slow

@@ -59,7 +59,8 @@ def look_through_own_cameras() -> None:
     for window in (window for manager in bpy.data.window_managers for window in manager.windows):
         views = [area.spaces.active for area in window.screen.areas if area.type == "VIEW_3D"]
         scene = window.scene
-        if scene.library is None and any(v.camera != scene.camera and not v.use_local_camera for v in views):
+        following = [view for view in views if not view.use_local_camera and view.local_view is None]
+        if scene.library is None and any(view.camera != scene.camera for view in following):
             scene.camera = scene.camera  # Views follow what is set, and what they look through cannot be set alone.
 
 
