@@ -1,4 +1,4 @@
-"""The errors of a phone: how much of the error of a walk does each of its effects make?
+"""The errors of a phone: how much of a run's error does each of its effects make?
 
 Nothing is rendered: the phone sees the captures of the run again, and the whole chain runs on what it saw. So the
 difference is what a user would gain by a phone without that flaw; since triggers may fire in other frames then, a small
@@ -28,7 +28,7 @@ NOT_REPEATED = "frame_rate"
 
 
 def measure_phone(run: PreparedRun, chain: ChainResult) -> Job[PhoneErrors | None]:
-    """A job: the errors of a walk with the phone's effects, without each of them, and with a perfect phone.
+    """A job: the errors of the chain with the phone's effects, without each of them, and with a perfect phone.
 
     None for a phone without any effect, and for a recording; an error is None without an active frame.
     """

@@ -49,7 +49,7 @@ METHODS_WORK_WITH_SHADOWS = 1.6
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """All that is known of a run before its walk; the stages behind share it.
+    """All that is known of a run before its chain runs; the stages behind share it.
 
     `settings` are the user's, with the trigger's theta above the noise of captures and the light that objects call for;
     `estimators` the chosen one, then those that are compared with it. `needs` says what is captured, and kept beside

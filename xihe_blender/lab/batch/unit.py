@@ -1,8 +1,8 @@
 """Unit of a batch, one scene with one seed, in Blender: everything is rendered once, and every trial runs on it.
 
-    prepare -> captures and light probes -> each trial's walk -> trigger sweeps -> comparisons
+    prepare -> captures and light probes -> each trial's chain -> trigger sweeps -> comparisons
 
-Captures hold what any of the phones needs. A trial's walk is that of `xihe previs`, on renders that are all there, so
+Captures hold what any of the phones needs. A trial's chain is that of `xihe previs`, on renders that are all there, so
 that its numbers are those of a previs run. All trials' lights are compared in one go per frame, each a method of the
 comparison: a view layer per virtual object costs little beside the path-traced picture that they are all held against.
 Pictures are kept of the worst frame of each trial only: a batch would otherwise leave gigabytes that nobody looks at.
