@@ -93,6 +93,7 @@ def test_a_record_comes_back_as_it_was_and_fits_its_schema(frame):
         ({"by_frame": {"1": "b"}}, "Frame.by_frame.1"),
         ({"parameters": {"a": []}}, "Frame.parameters.a"),
         ({"exposure": "bright"}, "Frame.exposure"),
+        ({"exposure": True}, "Frame.exposure"),
         ({"file": "a.png", "title": None, "error": "none"}, "Frame.error"),
     ],
 )
