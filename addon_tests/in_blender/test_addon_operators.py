@@ -176,6 +176,15 @@ def test_an_effect_that_nothing_switches_goes_back_to_auto_and_says_why():
     assert remembered_overrides(scene) == {}
 
 
+def test_an_override_of_an_older_version_in_the_file_is_said_when_an_effect_is_switched(capfd):
+    scene = walk()
+    row = scene.xihe.effects.add()
+    scene["xihe_effects"], row.name = {"dark_holes": "on"}, "volumes"
+    row.override = "ON"
+    assert row.override == "AUTO" and "of an older version" in bpy.context.window_manager.xihe.error
+    assert "RecursionError" not in capfd.readouterr().err
+
+
 # -------------------------------------------------------------------------------------------------------- what is grey
 
 

@@ -31,7 +31,8 @@ def _override_changed(row: XiheEffectRow, context: bpy.types.Context) -> None:
         remember_overrides(row.id_data, {row.name: row.override.lower()})
     except UserError as error:
         context.window_manager.xihe.error = str(error)
-        row.override = "AUTO"
+        if row.override != "AUTO":  # Setting it calls this again.
+            row.override = "AUTO"
 
 
 def _wipe_changed(settings: XiheSceneSettings, context: bpy.types.Context) -> None:
