@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from previs_runs import IPAD, LOOKS_AWAY, N_FRAMES, SMALL, counted_renders, unfinished_files, walk
+from previs_runs import IPAD, LOOKS_AWAY, N_FRAMES, SMALL, QuickPrevis, counted_renders, unfinished_files, walk
 from results_schema import read_strictly
 from tiny_scenes import empty_scene, phone, room_with_a_virtual_sphere, saved, set_world
 
@@ -26,6 +26,14 @@ from xihenet.io.recording import load_frame
 from xihenet.light.light_picture import sphere_mask
 
 FEW = replace(SMALL, samples=1, exposure=1.0)
+
+
+class NoisyProbes(QuickPrevis):
+    """Light probes that seven pictures do not make good enough, for a run that asks for all of the light."""
+
+    @property
+    def reference(self):
+        return replace(super().reference, max_samples=7, aims_at_ldr=False)
 
 
 def record(scene, out, settings=SMALL, **wishes):
@@ -146,8 +154,9 @@ def test_a_room_without_virtual_objects_is_recorded_too_and_a_stopped_recording_
     with pytest.raises(UserError, match="give --at X,Y,Z"):
         record(bare(), tmp_path / "other", FEW, has_truth=True)
     assert not (tmp_path / "other").exists()
-    record(bare(), tmp_path / "other", FEW, has_truth=True, at_m=[(0.0, 0.0, 1.0)])
-    assert json.loads((tmp_path / "other" / "truth.json").read_text())["places"][0]["position_m"] == [0, 0, 1]
+    record(bare(), tmp_path / "other", NoisyProbes(**vars(FEW)), has_truth=True, at_m=[(0.0, 0.0, 1.0)])
+    (place,) = json.loads((tmp_path / "other" / "truth.json").read_text())["places"]
+    assert place["position_m"] == [0, 0, 1] and place["ldr_samples"] == place["hdr_samples"] == 7
 
 
 def test_the_command_records_and_says_what_it_left(tmp_path, capfd, small_light_probes):
