@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import bpy
 import pytest
+from addon_runs import registered_addon
 from previs_runs import SMALL, run, run_some_steps, walk
 from scene_snapshot import data_blocks, differences, nothing_changes, snapshot
 from tiny_scenes import add_lamp, box, empty_scene, key, light_strength, phone
 
+from xihe_blender.addon.modal_job import RunUnderWay
 from xihe_blender.addon.results_in_blender import remove_everything
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
+from xihe_blender.jobs import Progress, run_blocking
 from xihe_blender.scene.state import animated_paths, look_through_own_cameras, scene_kept
 
 SHORT = replace(SMALL, samples=2, frames=(1, 4))
@@ -193,10 +196,21 @@ def test_views_look_through_their_scenes_camera_though_a_copy_has_come_to_a_mark
     usual.location.x += 0.37
     (view,) = (area.spaces.active for area in bpy.context.window.screen.areas if area.type == "VIEW_3D")
     assert view.camera == usual
-    with nothing_changes(), working_scene(scene, "Working", RenderSettings((8, 6), samples=1)) as working:
-        working.frame_set(4)
-        assert working.camera == other
+
+    def job():
+        with working_scene(scene, "Working", RenderSettings((8, 6), samples=1)) as working:
+            working.frame_set(4)
+            assert working.camera == other
+            yield Progress(0, 1, "rendering")
+
+    with nothing_changes():
+        run_blocking(job())
     assert view.camera == usual
+    with registered_addon():
+        run = RunUnderWay(bpy.context, job())
+        run.step()
+        assert view.camera == usual and not run.is_over
+        run.end()
 
 
 def test_a_view_in_local_view_keeps_its_camera_and_a_job_under_way_does_not_redraw_it_for_that():
