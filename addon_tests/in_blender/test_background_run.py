@@ -8,6 +8,7 @@ import bpy
 import pytest
 from addon_runs import enable_preferences
 from previs_runs import walk
+from tiny_scenes import empty_scene
 
 from xihe_blender.addon import leftovers
 from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
@@ -55,7 +56,7 @@ def test_a_run_whose_scene_was_renamed_is_shown_there_and_one_whose_scene_was_de
 
 
 def test_the_run_of_a_scene_that_is_linked_is_another_files(tmp_path, addon):
-    run, job = saved_for_run(bpy.context.scene, tmp_path, {}), bpy.context.window_manager.xihe
+    run, job = saved_for_run(empty_scene(), tmp_path, {}), bpy.context.window_manager.xihe  # In no file.
     kitchen = bpy.data.scenes.new("Kitchen")
     kitchen.xihe.begun_run = str(run.folder)
     leftovers._look_for_run()
