@@ -15,7 +15,7 @@ from xihe_blender.addon.background_run import newest_run
 from xihe_blender.addon.runs_folder import last_part, last_run
 from xihe_blender.apply.datablocks import OF_RUN, ROOM, RUN_BESIDE, lit_scene, remove_lit_collections
 from xihe_blender.errors import UserError
-from xihe_blender.scene.state import WORKING, remove_copied_scene
+from xihe_blender.scene.state import WORKING, evaluate_pending, layers_of, remove_copied_scene
 
 
 def remove_working_scenes() -> None:
@@ -43,14 +43,10 @@ def _evaluate_unseen() -> None:
     them after an Undo of Remove Light crashes it as well.
     """
     lit = lit_scene()
-    both = () if lit is None else filter(None, (lit, lit.get(ROOM)))
+    layers = layers_of(() if lit is None else filter(None, (lit, lit.get(ROOM))))
     windows = [window for manager in bpy.data.window_managers for window in manager.windows]
     shown, shown_layers = {window.scene for window in windows}, {window.view_layer for window in windows}
-    for layer in [
-        layer for scene in both for layer in scene.view_layers if scene not in shown or layer in shown_layers
-    ]:
-        if layer.depsgraph is not None:
-            layer.update()
+    evaluate_pending(layer for layer in layers if layer in shown_layers or layer.id_data not in shown)
 
 
 @bpy.app.handlers.persistent

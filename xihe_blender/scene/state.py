@@ -85,9 +85,9 @@ def scene_kept() -> Iterator[None]:
             yield
     finally:
         # A render leaves an evaluation pending, which would write over what is put back.
-        evaluate_pending(bpy.data.scenes)
+        evaluate_pending(layers_of(bpy.data.scenes))
         put_back(before)
-        evaluate_pending(bpy.data.scenes)
+        evaluate_pending(layers_of(bpy.data.scenes))
 
 
 @contextlib.contextmanager
@@ -102,9 +102,13 @@ def no_render_result_left() -> Iterator[None]:
                 bpy.data.images.remove(image)
 
 
-def evaluate_pending(scenes: Iterable[bpy.types.Scene]) -> None:
-    """Bring every view layer of `scenes` that is in use up to date, each at its own scene's frame."""
-    for layer in [layer for scene in scenes for layer in scene.view_layers]:
+def layers_of(scenes: Iterable[bpy.types.Scene]) -> list[bpy.types.ViewLayer]:
+    return [layer for scene in scenes for layer in scene.view_layers]
+
+
+def evaluate_pending(layers: Iterable[bpy.types.ViewLayer]) -> None:
+    """Bring those of `layers` that are in use up to date, each at its own scene's frame."""
+    for layer in layers:
         if layer.depsgraph is not None:
             layer.update()
 

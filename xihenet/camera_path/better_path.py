@@ -111,7 +111,7 @@ class Unseen:
 
     Parameters
     ----------
-    cloud : after the path, N anchors
+    cloud : what was seen by the end of the path, N anchors
     points_m : (N, 3) world, metres: where each anchor's surface is, or may be
     radiance : (N, 3) linear, at the session's exposure: the light from there, or what may come from there
     weight : (N,) share of the likely light of each anchor; all add up to 1

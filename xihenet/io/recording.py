@@ -1,4 +1,4 @@
-"""A recorded session: the same walk can be run again with other settings, here or by other tools.
+"""A recorded session: its frames go through the chain again with other settings, here or by other tools.
 
 One OpenEXR file per frame in a folder, whole or absent, and a session.json that says what the numbers mean. Chosen over
 one big file because a recording that is cut short is still a recording, and a run can resume on it. Of a frame:
