@@ -13,21 +13,24 @@ trigonometry, and its cells shrink to slivers at the poles.
 Why it is exact. A cell lies in one face of the octahedron, continued beyond the equator, where the lead of anchor i
 over anchor j, (a_i - a_j) . p, is linear: i beats j everywhere in a cell if and only if it does at the four corners.
 The build halves cells and drops from each the anchors that another one beats in this way; corner scores of the quarters
-are averages of the whole's. What is left when the cells have their final size is the list. `_MARGIN` covers points that
-float32 rounding puts into the cell beside theirs.
+are averages of the whole's. What is left when the cells have their final size is the list. Cells with two
+candidates, most of the small ones, are halved by a shorter way. `_MARGIN` covers points that float32 rounding puts into
+the cell beside theirs.
 
 Not here: anything about lattices. The table works for any set of different unit vectors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from functools import reduce
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xihenet.records import ArrayF32, ArrayF64, ArrayInt
+from xihenet.records import ArrayBool, ArrayF32, ArrayF64, ArrayInt
 
 # With e = 2^-24: conversion, sums, division and product move p_x and p_y by 6 e of their size, the sum that makes them
 # positive by e of at most 3 together, so p by at most 9 sqrt(2) e and the lead of one anchor over another, whose
@@ -104,12 +107,24 @@ class AnchorTable:
 class _Cells:
     """Cells of one level and, cell after cell, the anchors that can still win in them."""
 
-    layer: ArrayInt  # (C,) 1 is below the equator
-    row: ArrayInt  # (C,) along y
+    row: ArrayInt  # (C,) along y; those of the layer below the equator follow those of the one above
     column: ArrayInt  # (C,) along x
     lengths: ArrayInt  # (C,) candidates per cell, at least 1
     anchors: ArrayInt  # (M,) candidates of all cells, in rising order within a cell; M is the sum of `lengths`
     scores: ArrayF32  # (2, 2, M) anchor . corner at the cell's corners, [row, column]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Cells of one level with two candidates each."""
+
+    row: ArrayInt  # (C,)
+    column: ArrayInt  # (C,)
+    anchors: ArrayInt  # (2, C) in rising order
+    scores: ArrayF32  # (2, 2, 2, C) at the cell's corners, [row, column, candidate]
+
+
+Part = TypeVar("Part", _Cells, _Pairs)
 
 
 def cells_for(n_anchors: int) -> int:
@@ -128,28 +143,38 @@ def build_anchor_table(directions: ArrayF64, n_cells: int) -> AnchorTable:
     """
     if n_cells < 2 or n_cells & (n_cells - 1):
         raise ValueError(f"n_cells: expected a power of two of at least 2, got {n_cells}")
-    codes = np.zeros((2, 2, 2), np.int32)
-    cells = _undecided(_first_cells(directions), codes)
+    # In 16 bits where anchors fit: at 32 the last grid alone takes 0.1 s.
+    codes = np.zeros((4, 2), _code_type(len(directions)))
+    longer, pairs = _split(_undecided(_first_cells(directions), codes))
     while codes.shape[1] < n_cells:
-        codes = codes.repeat(2, axis=1).repeat(2, axis=2)
-        cells = _halved(cells, codes)
-    lists, list_of_cell = _unique_lists(cells, len(directions))
-    codes[cells.layer, cells.row, cells.column] = len(directions) + list_of_cell
-    return _finished(directions, codes, lists)
+        codes = codes.repeat(2, axis=0).repeat(2, axis=1)
+        halved_pairs = _halved_pairs(pairs, codes)
+        longer, new_pairs = _split(_halved(longer, codes))
+        pairs = _joined([new_pairs, *halved_pairs])
+    lists, list_of_cell = _unique_lists(longer, len(directions))
+    keys = pairs.anchors[0] * len(directions) + pairs.anchors[1]
+    of_two = np.unique(keys)
+    padded = np.full((len(of_two), lists.shape[1]), -1)
+    padded[:, 0], padded[:, 1] = np.divmod(of_two, len(directions))
+    codes = codes.astype(_code_type(len(directions) + len(of_two) + len(lists)), copy=False)
+    codes[pairs.row, pairs.column] = len(directions) + np.searchsorted(of_two, keys)
+    codes[longer.row, longer.column] = len(directions) + len(of_two) + list_of_cell
+    return _finished(directions, codes.reshape(2, n_cells, n_cells), np.concatenate([padded, lists]))
 
 
-def _finished(directions: ArrayF64, codes: NDArray[np.int32], lists: ArrayInt) -> AnchorTable:
-    """Pad the layers, choose the smallest type and prepare the pairs."""
-    n_codes = len(directions) + len(lists)
-    small = codes.astype(np.uint16 if n_codes <= 2**16 else np.uint32)
-    padded = np.pad(small, ((0, 0), (0, 1), (0, 1)), mode="edge")
+def _code_type(n_codes: int) -> type[np.uint16 | np.uint32]:
+    return np.uint16 if n_codes <= 2**16 else np.uint32
+
+
+def _finished(directions: ArrayF64, codes: NDArray[Any], lists: ArrayInt) -> AnchorTable:
+    """Pad the layers and prepare the pairs."""
+    padded = np.pad(codes, ((0, 0), (0, 1), (0, 1)), mode="edge")
     n_pairs = int((lists[:, 2] < 0).sum())
     lists = np.where(lists < 0, lists[:, :1], lists)
     first, second = directions[lists[:n_pairs, 0]], directions[lists[:n_pairs, 1]]
     # A longer list reads the last pair before it is put right: there must be one.
     leads = np.ascontiguousarray((second - first).T) if n_pairs else np.zeros((3, 1))
-    n_cells = codes.shape[1]
-    return AnchorTable(directions, n_cells, padded.ravel(), lists, n_pairs, leads, directions[lists[n_pairs:]])
+    return AnchorTable(directions, codes.shape[1], padded.ravel(), lists, n_pairs, leads, directions[lists[n_pairs:]])
 
 
 def _first_cells(directions: ArrayF64) -> _Cells:
@@ -164,20 +189,17 @@ def _first_cells(directions: ArrayF64) -> _Cells:
         scores.append((points @ directions.T).astype(np.float32))
     n = len(directions)
     every = np.tile(np.arange(n), 8)
-    return _Cells(layer, row, column, np.full(8, n), every, np.concatenate(scores, axis=2))
+    return _Cells(2 * layer + row, column, np.full(8, n), every, np.concatenate(scores, axis=2))
 
 
-def _undecided(cells: _Cells, codes: NDArray[np.int32]) -> _Cells:
+def _undecided(cells: _Cells, codes: NDArray[Any]) -> _Cells:
     """The cells that several candidates can win, with these; the winner of any other cell is written to `codes`.
 
     A candidate goes if the cell's strongest one beats it at all four corners, by more than the margin.
     """
     if not len(cells.lengths):
         return cells
-    # Only where |x| + |y| <= 1 somewhere: the corner nearest to the middle, in cells from there, decides.
-    half = codes.shape[1] // 2
-    x, y = (np.where(k < half, half - 1 - k, k - half) for k in (cells.column, cells.row))
-    is_reached = x + y <= half
+    is_reached = _is_reached(cells.row, cells.column, codes.shape[1])
     starts = np.cumsum(cells.lengths) - cells.lengths
     strength = cells.scores.sum(axis=(0, 1))
     strongest = np.maximum.reduceat(strength, starts)
@@ -187,26 +209,74 @@ def _undecided(cells: _Cells, codes: NDArray[np.int32]) -> _Cells:
     can_win = lead.min(axis=(0, 1)) <= _MARGIN
     lengths = np.add.reduceat(can_win.astype(np.intp), starts)
     decided, is_open = is_reached & (lengths == 1), is_reached & (lengths > 1)
-    codes[cells.layer[decided], cells.row[decided], cells.column[decided]] = cells.anchors[leader[decided]]
+    codes[cells.row[decided], cells.column[decided]] = cells.anchors[leader[decided]]
     kept = np.flatnonzero(can_win & np.repeat(is_open, cells.lengths))
-    of_cells = cells.layer[is_open], cells.row[is_open], cells.column[is_open], lengths[is_open]
+    of_cells = cells.row[is_open], cells.column[is_open], lengths[is_open]
     # `take` along the last axis is several times as fast as an index of it.
     return _Cells(*of_cells, cells.anchors[kept], cells.scores.take(kept, axis=-1))
 
 
-def _halved(cells: _Cells, codes: NDArray[np.int32]) -> _Cells:
+def _halved(cells: _Cells, codes: NDArray[Any]) -> _Cells:
     """The undecided ones among the four quarters of each cell; `codes` are those of the finer grid."""
-    grid = np.empty((3, 3, len(cells.anchors)), np.float32)
-    grid[::2, ::2] = cells.scores
-    grid[1, ::2] = (cells.scores[0] + cells.scores[1]) / 2
-    grid[::2, 1] = (cells.scores[:, 0] + cells.scores[:, 1]) / 2
-    grid[1, 1] = (grid[0, 1] + grid[2, 1]) / 2
+    grid = _scores_at_quarters(cells.scores)
     quarters = []
     for i, j in np.ndindex(2, 2):
         scores = grid[i : i + 2, j : j + 2]
-        quarter = _Cells(cells.layer, 2 * cells.row + i, 2 * cells.column + j, cells.lengths, cells.anchors, scores)
+        quarter = _Cells(2 * cells.row + i, 2 * cells.column + j, cells.lengths, cells.anchors, scores)
         quarters.append(_undecided(quarter, codes))
-    return _Cells(*(np.concatenate([getattr(q, part.name) for q in quarters], axis=-1) for part in fields(_Cells)))
+    return _joined(quarters)
+
+
+def _halved_pairs(pairs: _Pairs, codes: NDArray[Any]) -> list[_Pairs]:
+    """As `_halved`, quarter by quarter, where two candidates are left: most cells, once they are small."""
+    grid = _scores_at_quarters(pairs.scores)
+    lead = grid[:, :, 0] - grid[:, :, 1]  # of the first candidate over the second
+    corners = lead[:-1, :-1], lead[:-1, 1:], lead[1:, :-1], lead[1:, 1:]
+    low, high = (reduce(of, corners) for of in (np.minimum, np.maximum))
+    quarters = []
+    for i, j in np.ndindex(2, 2):
+        row, column = 2 * pairs.row + i, 2 * pairs.column + j
+        is_reached = _is_reached(row, column, codes.shape[1])
+        for anchors, wins in zip(pairs.anchors, (low[i, j] > _MARGIN, high[i, j] < -_MARGIN), strict=True):
+            decided = np.flatnonzero(is_reached & wins)
+            codes.put(row[decided] * codes.shape[1] + column[decided], anchors[decided])
+        kept = np.flatnonzero(is_reached & (low[i, j] <= _MARGIN) & (high[i, j] >= -_MARGIN))
+        scores = np.array([[corner.take(kept, axis=1) for corner in line[j : j + 2]] for line in grid[i : i + 2]])
+        quarters.append(_Pairs(row[kept], column[kept], pairs.anchors.take(kept, axis=1), scores))
+    return quarters
+
+
+def _scores_at_quarters(corners: ArrayF32) -> ArrayF32:
+    """(3, 3, ...) scores at the corners of quarters, from those at the corners of cells (2, 2, ...)."""
+    grid = np.empty((3, 3, *corners.shape[2:]), np.float32)
+    grid[::2, ::2] = corners
+    grid[1, ::2] = (corners[0] + corners[1]) / 2
+    grid[::2, 1] = (corners[:, 0] + corners[:, 1]) / 2
+    grid[1, 1] = (grid[0, 1] + grid[2, 1]) / 2
+    return grid
+
+
+def _is_reached(row: ArrayInt, column: ArrayInt, n_cells: int) -> ArrayBool:
+    """Whether |x| + |y| <= 1 somewhere in a cell: its corner nearest to the middle decides."""
+    y, x = (np.abs(2 * k - (n_cells - 1)) for k in (row % n_cells, column))
+    is_reached: ArrayBool = x + y <= n_cells + 2
+    return is_reached
+
+
+def _split(cells: _Cells) -> tuple[_Cells, _Pairs]:
+    """The cells with more than two candidates, and those with two."""
+    is_pair = cells.lengths == 2
+    of_pairs = np.repeat(is_pair, cells.lengths)
+    row, column, lengths = cells.row, cells.column, cells.lengths
+    anchors, scores = cells.anchors[of_pairs].reshape(-1, 2).T, cells.scores[..., of_pairs].reshape(2, 2, -1, 2)
+    pairs = _Pairs(row[is_pair], column[is_pair], anchors, scores.swapaxes(2, 3))
+    kept, chosen = ~of_pairs, ~is_pair
+    return _Cells(row[chosen], column[chosen], lengths[chosen], cells.anchors[kept], cells.scores[..., kept]), pairs
+
+
+def _joined(parts: Sequence[Part]) -> Part:
+    first = parts[0]
+    return type(first)(*(np.concatenate([getattr(p, f.name) for p in parts], axis=-1) for f in fields(first)))
 
 
 def _unique_lists(cells: _Cells, n_anchors: int) -> tuple[ArrayInt, ArrayInt]:

@@ -1,10 +1,13 @@
 """Anchors and which of them is nearest: exactly, by the paper's table, and by brute force."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from xihenet import anchor_table
 from xihenet.anchor_table import build_anchor_table
 from xihenet.sphere import AnchorLattice
 
@@ -122,6 +125,27 @@ def test_table_of_cells_is_exact_for_any_anchors_and_any_number_of_cells(n, log_
     columns = np.ascontiguousarray(points.T)
     found = build_anchor_table(anchors, 2**log_cells).find(columns, np.abs(columns).sum(axis=0))
     assert (cosine_lost(anchors, found, points) <= 1e-7).all()
+
+
+@pytest.mark.parametrize("n_cells", [16, 64])
+def test_cells_with_two_candidates_are_halved_as_any_others(n_cells):
+    rng, n = np.random.default_rng(n_cells), 500
+    row, column = np.divmod(rng.choice(2 * n_cells**2, n, replace=False), n_cells)
+    anchors = np.sort(rng.choice(100, (n, 2)), axis=1).T + np.array([[0], [1]])
+    scores = rng.normal(size=(2, 2, 2, n)).astype(np.float32)
+    near = rng.choice([0, 1e-6, 4e-6, 5e-6], scores[:, :, 1].shape) * rng.choice([-1, 1], n)
+    scores[:, :, 1, ::2] = (scores[:, :, 0] + near)[:, :, ::2].astype(np.float32)
+    every = scores.swapaxes(2, 3).reshape(2, 2, -1)
+    cells = anchor_table._Cells(row, column, np.full(n, 2), anchors.T.ravel(), every)
+    codes, codes_of_pairs = np.zeros((2, 4 * n_cells, 2 * n_cells), np.uint16)
+    expected = anchor_table._split(anchor_table._halved(cells, codes))[1]
+    found = anchor_table._joined(
+        anchor_table._halved_pairs(anchor_table._Pairs(row, column, anchors, scores), codes_of_pairs)
+    )
+    np.testing.assert_array_equal(codes_of_pairs, codes)
+    assert 100 < len(found.row) < 4 * n
+    for field in dataclasses.fields(found):
+        np.testing.assert_array_equal(getattr(found, field.name), getattr(expected, field.name))
 
 
 @pytest.mark.parametrize("n_cells", [0, 1, 3, 100])
