@@ -1,6 +1,5 @@
 """`xihe frontier`: a small one from end to end, what it keeps, and what of it is known to be damaged."""
 
-import copy
 import json
 import math
 import re
@@ -18,17 +17,13 @@ from tiny_scenes import material, room_with_a_virtual_sphere, saved
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json, json_schema
-from xihe_blender.io.kept_files import DAMAGED
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.choices import LARGE_TABLE, QUICK, compute_choices, render_choices
-from xihe_blender.lab.frontier.pictures import LIGHTS, kept_pictures, picture_choices
-from xihe_blender.lab.frontier.points import family, group, groups, kept_scene
+from xihe_blender.lab.frontier.choices import LARGE_TABLE, QUICK, compute_choices
+from xihe_blender.lab.frontier.pictures import LIGHTS
+from xihe_blender.lab.frontier.points import family, group, groups
 from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, RenderChoice, StudySize
-from xihe_blender.lab.frontier.rendering import kept_round
-from xihe_blender.lab.frontier.study import exhaustive_render, frontier, kept_preparation, kept_truths, survey_scene
+from xihe_blender.lab.frontier.study import exhaustive_render, frontier
 from xihe_blender.previs.settings import PRESETS
-from xihe_blender.scene.blend_file import open_blend
-from xihenet.io.json_files import read_json
 from xihenet.pareto import on_front
 
 TINY = StudySize(2, 1, 1, 1, 1, 2, 4, (1, 2), 1)
@@ -175,77 +170,6 @@ def damage(files):
     """Each in another way."""
     for number, file in enumerate(files, start=2):
         file.write_bytes(damaged(file.read_bytes(), number))
-
-
-BROKEN = [
-    *[("measured", path, None) for path in [("name",), ("fronts",), ("fronts", "total"), ("views",)]],
-    ("measured", ("name",), "another"),
-    ("measured", ("fronts", "render", 0, "times_ms"), [1.0]),
-    ("measured", ("fronts", "compute", 0, "times_ms"), []),
-    ("measured", ("fronts", "compute", 0, "square_errors", "coefficients_truth"), [0.1]),
-    ("measured", ("fronts", "total", 0, "square_errors", "coefficients", 0), -0.1),
-    *[("prepared", path, None) for path in [("exposure",), ("effects",), ("effects", 0), ("samples", "draft")]],
-    *[("prepared", ("exposure",), value) for value in (0, -1.0, [1.0], "bright")],
-    *[("prepared", ("samples", "draft"), value) for value in (0, 2.5, "4", True, [4])],
-    ("prepared", ("effects", 0, "parameters"), {}),
-    *[("probes", ("Ball",), value) for value in (None, 0.5, [[1.0] * 3] * 9, [[1.0] * 3] * 24 + [[1e999] * 3], "x")],
-    ("round", (0,), None),
-    *[("round", (0, "ms"), value) for value in (None, "1", -1.0, True)],
-    *[("round", (0, "lights", "base"), value) for value in (None, [], 1.0, [[[1.0] * 3] * 9])],
-    *[("pictures", ("choices", 0), value) for value in (None, 1.0)],
-    *[("pictures", ("choices", 0, "square_errors", "ring_truth"), value) for value in (None, -0.1, "0")],
-    *[("pictures", ("estimators", "base"), value) for value in (None, -0.1)],
-]
-
-
-@pytest.fixture(scope="module")
-def kept(done):
-    """What a frontier keeps, and how it is read: content and reader by the start of the file's name."""
-    scene = open_blend(done / "room.blend")
-    plan, survey = survey_scene(scene, SMALL.size)
-    folder = done / "out" / "work" / "room"
-    content = {file.name.partition("_")[0].removesuffix(".json"): read_json(file) for file in folder.glob("*.json")}
-    presets = kept_preparation(plan, survey, content["prepared"]).presets
-    readers = {
-        "measured": partial(kept_scene, "room"),
-        "prepared": partial(kept_preparation, plan, survey),
-        "probes": partial(kept_truths, ["Ball"]),
-        "round": partial(kept_round, render_choices(presets, SMALL.size, TINY, is_quick=True), 1),
-        "pictures": partial(kept_pictures, picture_choices(presets)),
-    }
-    return content, readers
-
-
-def test_what_a_frontier_keeps_can_be_read(kept, done):
-    content, readers = kept
-    assert all(readers[name](of_one) is not None for name, of_one in content.items()) and set(content) == set(readers)
-
-
-@pytest.mark.parametrize(("name", "path", "value"), BROKEN)
-def test_json_that_a_frontier_did_not_write_is_known_to_be_damaged(kept, name, path, value):
-    content, readers = kept
-    broken = part = copy.deepcopy(content[name])
-    for step in path[:-1]:
-        part = part[step_in(part, step)]
-    last = step_in(part, path[-1])
-    if value is None:
-        del part[last]
-    else:
-        part[last] = value
-    with pytest.raises(DAMAGED):
-        readers[name](broken)
-
-
-def step_in(part, step):
-    """Choices have long names, and 0 stands for the first."""
-    return next(iter(part)) if step == 0 and isinstance(part, dict) else step
-
-
-@pytest.mark.parametrize("content", [None, [], {}, 1, "x", [[1]], {"fronts": 1}, {"choices": {}, "estimators": {}}])
-def test_json_of_another_kind_is_known_to_be_damaged(kept, content):
-    for read_one in kept[1].values():
-        with pytest.raises(DAMAGED):
-            read_one(content)
 
 
 def test_a_folder_of_another_frontier_and_two_scenes_of_one_name_are_refused(done, tmp_path):

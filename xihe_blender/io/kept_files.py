@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TypeVar
 
-from xihe_blender.io.json_records import Json, Record, read_record
+from xihe_blender.io.json_records import Json, Record, as_json, read_record
 from xihe_blender.io.outputs import write_json
 from xihenet.io.json_files import read_json
 
 Kept = TypeVar("Kept")
+Step = TypeVar("Step")
 
 DAMAGED = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 """What readers raise for content that is not what they wrote."""
@@ -42,6 +43,15 @@ def kept_json(path: Path, read: Callable[[Json], Kept]) -> Kept | None:
 def kept_record(kind: type[Record], path: Path) -> Record | None:
     """The record in the JSON file, as `read_kept`."""
     return read_kept(path, functools.partial(read_record, kind))
+
+
+def kept_or_done(kind: type[Record], path: Path, job: Generator[Step, None, Record]) -> Generator[Step, None, Record]:
+    """A job: the record in the JSON file, which `job` makes if it is not there or is damaged."""
+    kept = kept_record(kind, path)
+    if kept is None:
+        write_json(path, as_json((yield from job)))
+        kept = read_record(kind, path)
+    return kept
 
 
 def kept_or_made(path: Path, read: Callable[[Json], Kept], make: Callable[[], Json]) -> Kept:

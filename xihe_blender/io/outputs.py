@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from xihe_blender.errors import UserError
 from xihenet.io.whole_files import written_whole
 
 if TYPE_CHECKING:
@@ -115,6 +116,13 @@ def cut_stem(stem: str) -> str:
     """As much of a file's stem as leaves room for what is added to it: no file name has more than 255 bytes."""
     encoded = os.fsencode(stem)
     return stem if len(encoded) <= MAX_STEM_BYTES else encoded[:MAX_STEM_BYTES].decode(errors="ignore")
+
+
+def check_names_differ(scenes: Sequence[Path]) -> None:
+    """UserError where two of the files have the same stem."""
+    names = [file.stem for file in scenes]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
 
 
 def _file_stem(name: str) -> str:

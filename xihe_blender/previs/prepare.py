@@ -19,7 +19,7 @@ from xihe_blender.capture.reference_probe import ProbeSettings, ReferenceProbe, 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
 from xihe_blender.io.json_records import Json, as_json
-from xihe_blender.io.kept_files import kept_json, kept_or_made, kept_record
+from xihe_blender.io.kept_files import kept_json, kept_or_done, kept_or_made, kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.light_transport import cycles_settings
@@ -169,11 +169,9 @@ def prepare_run(
         lambda: effects_as_json(plan_effects(survey.required, choices)),
     )
     transport = cycles_settings(effects)
-    count = kept_record(SampleCount, outputs.sample_count)
-    if count is None:
-        measuring = measure_sample_count(scene, plan, survey, settings, exposure, transport)
-        count = yield from shown(measuring, lambda _: Progress(0, 1, "measuring how many samples it takes"))
-        write_json(outputs.sample_count, as_json(count))
+    measuring = measure_sample_count(scene, plan, survey, settings, exposure, transport)
+    told = shown(measuring, lambda _: Progress(0, 1, "measuring how many samples it takes"))
+    count = yield from kept_or_done(SampleCount, outputs.sample_count, told)
     light = required_light(plan.objects) if settings.light == "auto" else settings.light
     settings = replace(settings, light=light, trigger=above_noise(settings.trigger_in_use, count.capture_change))
     phone = choose_phone(scene, survey, settings)

@@ -43,6 +43,9 @@ N_NORMALS = 256
 KINDS = ("coefficients", "irradiance")
 AGAINST_TRUTH = "_truth"
 N_BRUTE_FRAMES = 2
+Light = tuple[tuple[float, float, float], ...]
+"""(25, 3) coefficients, as a record holds them."""
+
 _SMALLEST_IRRADIANCE = SMALLEST_LIGHT * float(np.sqrt(np.pi * N_NORMALS / 4))
 """Of the same grey light: pi times its radiance on every normal."""
 

@@ -14,7 +14,6 @@ where the shadow is, in linear colour.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
@@ -23,13 +22,13 @@ import numpy as np
 
 from xihe_blender.compare.methods import Comparer, Comparison, display, open_comparer
 from xihe_blender.compare.shadows import ring_rmse
-from xihe_blender.io.json_records import Json, from_json
+from xihe_blender.io.kept_files import kept_or_done
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import RenderCandidate
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, Walk
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, RenderChoice
-from xihe_blender.lab.frontier.rendering import RenderStudy, kept_or_done, rendered, use_threads
+from xihe_blender.lab.frontier.rendering import RenderStudy, rendered, use_threads
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.compare_path import MOST_SEEN
 from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
@@ -78,11 +77,10 @@ def measure_pictures(
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
     frames = list(study.views)[: study.study_size.n_picture_views]
-    read = functools.partial(kept_pictures, choices)
     for number, frame in enumerate(frames):
         path = study.folder / f"pictures_{frame:04d}.json"
         job = part_of(len(frames), number, 1, _view_measured(study, walk, choices, frame))
-        rounds.append((yield from kept_or_done(path, read, job)))
+        rounds.append((yield from kept_or_done(PicturesTaken, path, job)))
     if not rounds:
         return [], {}
     measured = []
@@ -97,19 +95,6 @@ def measure_pictures(
 def error_kinds(choice: RenderCandidate) -> tuple[str, ...]:
     """Light that has more parts saves nothing, so it is held against the truth alone."""
     return (PICTURE, *OF_TRUTH) if choice.light == "sh" else OF_TRUTH
-
-
-def kept_pictures(choices: Sequence[RenderCandidate], content: Json) -> PicturesTaken:
-    """What `measure_pictures` keeps of a view; TypeError or ValueError where it is of other choices."""
-    taken = from_json(PicturesTaken, content)
-    kinds = {choice.key: set(error_kinds(choice)) for choice in choices}
-    are_own = {key: set(one.square_errors) for key, one in taken.choices.items()} == kinds
-    figures = [figure for one in taken.choices.values() for figure in (one.ms, *one.square_errors.values())]
-    if not are_own or set(taken.estimators) != {by.label for by in METHODS}:
-        raise ValueError("pictures: expected times and squared errors of the choices of this study")
-    if min(*figures, *taken.estimators.values()) < 0:
-        raise ValueError("pictures: expected times and squared errors of 0 or more")
-    return taken
 
 
 def _view_measured(

@@ -12,11 +12,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import get_args
 
 import numpy as np
 
-from xihe_blender.io.json_records import INLINE, Json, as_json, from_json
+from xihe_blender.io.json_records import INLINE, Json, as_json
 from xihe_blender.lab.frontier.records import ChoiceSettings, Front, FrontierPoint, FrontierScene, PointSettings
 from xihe_blender.lab.frontier.timing import median_and_spread
 from xihenet.formats import format_percent, format_setting
@@ -64,20 +63,6 @@ class MeasuredScene:
 
     fronts: dict[Front, tuple[Measured, ...]]
     scene: FrontierScene | None = field(metadata=INLINE)
-
-
-def kept_scene(name: str, content: Json) -> MeasuredScene:
-    """What the folder of a frontier keeps of the scene `name`; TypeError or ValueError where it is something else."""
-    one = from_json(MeasuredScene, content)
-    if one.scene is None or one.scene.name != name or one.fronts.keys() != set(get_args(Front)):
-        raise ValueError(f"measured scene: expected the fronts of {name!r}")
-    for measured in one.fronts.values():
-        for kind in {kind for each in measured for kind in each.square_errors}:
-            own = [each for each in measured if kind in each.square_errors]
-            for rows in ([each.square_errors[kind] for each in own], [each.times_ms for each in own]):
-                if len({len(row) for row in rows}) != 1 or not rows[0] or min(map(min, rows)) < 0:
-                    raise ValueError(f"measured scene: expected as many numbers of 0 or more for each choice ({kind})")
-    return one
 
 
 def points_of(scene: str, fronts: Mapping[Front, Sequence[Measured]], seed: int) -> list[FrontierPoint]:

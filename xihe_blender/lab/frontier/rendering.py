@@ -11,33 +11,27 @@ fewer. The small render has as many as any other, so that no render depends on t
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import bpy
 import numpy as np
 
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner
-from xihe_blender.io.json_records import Json, as_json, from_json
-from xihe_blender.io.kept_files import kept_json, read_kept
-from xihe_blender.io.outputs import write_json
+from xihe_blender.io.kept_files import kept_or_done, read_kept
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, FULL, QUICK, RenderCandidate
-from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, light_of_frame, square_errors
+from xihe_blender.lab.frontier.compute import ChoiceBackend, Light, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.plan import PrevisPlan
 from xihe_blender.previs.survey import SceneSurvey
-from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.records import ArrayF64, RgbdFrame
 
-Kept = TypeVar("Kept")
 COMPUTED_BY = (ComputeChoice(), ComputeChoice(n_anchors=512), ComputeChoice(n_anchors=2048))
 """Ways to compute that are combined with every render; the first is what a render alone is judged by."""
 
@@ -96,23 +90,14 @@ class Taken:
     """One render: its milliseconds, and by way to compute the light at each position, (25, 3)."""
 
     ms: float
-    lights: dict[str, tuple[tuple[tuple[float, float, float], ...], ...]]
+    lights: dict[str, tuple[Light, ...]]
 
 
-Round = Mapping[str, Taken]
+Round = dict[str, Taken]
 """Every choice once, by its key."""
 
 LightsBy = Mapping[ComputeChoice, Sequence[ArrayF64]]
 """The light at each position, by way to compute."""
-
-
-def kept_or_done(path: Path, read: Callable[[Json], Kept], job: Job[object]) -> Job[Kept]:
-    """What `read` makes of the JSON in the file, into which the result of `job` is written if there is none."""
-    kept = kept_json(path, read)
-    if kept is None:
-        write_json(path, as_json((yield from job)))
-        kept = read(read_json(path))
-    return kept
 
 
 def kept_capture(path: Path, scanner: CyclesScanner, frame: int, render: Callable[[], RgbdFrame]) -> RgbdFrame:
@@ -139,24 +124,13 @@ def measure_rendering(
         before = number * (1 + n_seeds)
         yield Progress(before, n_parts, f"rendering frame {frame} exhaustively")
         truth = _lights(all_backends, study.reference(frame), positions_m)
-        read = functools.partial(kept_round, study.choices, len(positions_m))
         for seed in range(n_seeds):
             job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, frame, seed, backends))
             path = study.folder / f"round_{frame:04d}_{seed}.json"
-            rounds.append(((yield from kept_or_done(path, read, job)), truth))
+            rounds.append(((yield from kept_or_done(Round, path, job)), truth))
     alone = [_measured(choice, COMPUTED_BY[0], rounds) for choice in study.choices]
     together = [_measured(choice, by, rounds, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY]
     return alone, together
-
-
-def kept_round(choices: Sequence[RenderCandidate], n_positions: int, content: Json) -> Round:
-    """What `measure_rendering` keeps of a round; TypeError, ValueError or LookupError where it is of other choices."""
-    taken = {choice.key: from_json(Taken, content[choice.key]) for choice in choices}
-    for one in taken.values():
-        shapes = {np.shape(one.lights[by.label]) for by in COMPUTED_BY}
-        if one.ms < 0 or shapes != {(n_positions, N_COEFFICIENTS, 3)}:
-            raise ValueError(f"round: expected lights at {n_positions} positions, got {shapes} in {one.ms} ms")
-    return taken
 
 
 def rendered(scanner: CyclesScanner, choice: RenderChoice, seed: int, *, n_threads: int = 1) -> RgbdFrame:

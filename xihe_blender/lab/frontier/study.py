@@ -8,7 +8,6 @@ set of scenes and one seed; another is refused, as for `xihe previs`.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -24,15 +23,16 @@ from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
 from xihe_blender.errors import UserError, of_file
 from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256
-from xihe_blender.io.json_records import Json, as_json
-from xihe_blender.io.outputs import write_csv, write_json
+from xihe_blender.io.json_records import as_json
+from xihe_blender.io.kept_files import kept_or_done
+from xihe_blender.io.outputs import check_names_differ, write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of, run_blocking, shown
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import compute_choices, render_choices
-from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ORDER, ChoiceBackend, Walk, measure_compute
+from xihe_blender.lab.frontier.compute import ORDER, ChoiceBackend, Light, Walk, measure_compute
 from xihe_blender.lab.frontier.pictures import OF_TRUTH, measure_pictures, picture_choices
-from xihe_blender.lab.frontier.points import MeasuredScene, kept_scene, points_of
+from xihe_blender.lab.frontier.points import MeasuredScene, points_of
 from xihe_blender.lab.frontier.records import (
     ComputeChoice,
     Frontier,
@@ -42,14 +42,13 @@ from xihe_blender.lab.frontier.records import (
     RenderChoice,
     StudySize,
 )
-from xihe_blender.lab.frontier.rendering import RenderStudy, SceneStudy, kept_capture, kept_or_done, measure_rendering
+from xihe_blender.lab.frontier.rendering import RenderStudy, SceneStudy, kept_capture, measure_rendering
 from xihe_blender.lab.frontier.report import report_page
 from xihe_blender.lab.frontier.timing import median_and_spread
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.plan import PrevisPlan, check_is_rendered, plan_previs
-from xihe_blender.previs.prepare import effects_kept, positive_exposure
 from xihe_blender.previs.sample_count import measure_sample_count, pilot_views
 from xihe_blender.previs.settings import PRESETS, PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, survey_path
@@ -58,9 +57,8 @@ from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet import __version__
 from xihenet.camera_path.placement import evenly_chosen
-from xihenet.effects import effects_as_json, plan_effects
+from xihenet.effects import plan_effects
 from xihenet.estimators.weights_format import weights_sha256
-from xihenet.records import ArrayF64
 
 Result = TypeVar("Result")
 COLUMNS = (
@@ -87,9 +85,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     """
     if not 0 <= settings.seed <= MAX_SEED:
         raise UserError(f"a seed of {settings.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
-    names = [file.stem for file in files]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
+    check_names_differ(files)
     patterns = []
     for file in files:
         scene = open_blend(file)
@@ -115,7 +111,7 @@ def _measured(files: Sequence[Path], out: Path, settings: FrontierSettings, comm
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
         job = part_of(len(files), number, 1, measure_scene(file, path.parent, settings), file.stem)
-        kept.append((yield from kept_or_done(path, functools.partial(kept_scene, file.stem), job)))
+        kept.append((yield from kept_or_done(MeasuredScene, path, job)))
     points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
     found = Frontier(
         software=software(command),
@@ -145,7 +141,7 @@ class Prepared:
 
     exposure: float
     light_transport: tuple[tuple[str, bool | int], ...]
-    presets: Mapping[str, RenderChoice]
+    presets: dict[str, RenderChoice]
 
 
 def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[MeasuredScene]:
@@ -161,7 +157,8 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
         return result
 
     with scene_kept():
-        prepared = yield from share("preparing", prepare(study))
+        preparing = kept_or_done(Prepared, folder / "prepared.json", prepare(study))
+        prepared = yield from share("preparing", preparing)
         presets, transport = prepared.presets, prepared.light_transport
         capture = RenderSettings(size, study_size.walk_samples, settings.seed, light_transport=transport)
         with open_scanner(scene, capture) as scanner:
@@ -195,7 +192,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
         n_walk_frames=len(walk.frames),
         n_places=walk.n_places,
         views=tuple(renders.views),
-        presets=dict(presets),
+        presets=presets,
         exhaustive_samples=renders.exhaustive.samples,
     )
     yield Progress(done, 1, "measured")
@@ -212,34 +209,19 @@ def exhaustive_render(
 
 
 def prepare(study: SceneStudy) -> Job[Prepared]:
-    """Measure it as a run does, or read what a run that was stopped has measured."""
-    read = functools.partial(kept_preparation, study.plan, study.survey)
-    return (yield from kept_or_done(study.folder / "prepared.json", read, _preparation(study)))
-
-
-def _preparation(study: SceneStudy) -> Job[Json]:
-    """What `kept_preparation` reads."""
+    """Measure it as a run does."""
     scene, plan = study.scene, study.plan
     step = Progress(0, 1, "metering the exposure, looking for effects")
     yield step
     exposure = yield from shown(meter_exposure(scene, plan.frames, study.settings.seed), lambda _: step)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
-    samples = {}
+    transport, presets = cycles_settings(effects), {}
     for index, name in enumerate(PRESETS):
         settings = PrevisSettings(preset=name, seed=study.settings.seed)
-        measuring = measure_sample_count(scene, plan, study.survey, settings, exposure, cycles_settings(effects))
+        measuring = measure_sample_count(scene, plan, study.survey, settings, exposure, transport)
         count = yield from part_of(1 + len(PRESETS), 1 + index, 1, measuring, name)
-        samples[name] = count.capture_samples
-    return {"exposure": exposure, "effects": effects_as_json(effects), "samples": samples}
-
-
-def kept_preparation(plan: PrevisPlan, survey: SceneSurvey, content: Json) -> Prepared:
-    """What `prepare` keeps; TypeError, ValueError or LookupError where it is not of this scene."""
-    presets = {name: RenderChoice(plan.size, content["samples"][name]) for name in PRESETS}
-    for name, choice in presets.items():
-        if type(choice.samples) is not int or choice.samples < 1:
-            raise ValueError(f"{name}: expected a number of samples, got {choice.samples!r}")
-    return Prepared(positive_exposure(content), cycles_settings(effects_kept(survey, content["effects"])), presets)
+        presets[name] = RenderChoice(plan.size, count.capture_samples)
+    return Prepared(exposure, transport, presets)
 
 
 def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[Walk]:
@@ -255,7 +237,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
     frames, truths = [], []
     with open_reference_probe(study.scene, list(positions.values()), probes) as probe:
 
-        def measured(frame: int, active: Sequence[str]) -> Job[Json]:
+        def measured(frame: int, active: Sequence[str]) -> Job[dict[str, Light]]:
             lights = {}
             for done, name in enumerate(active):
                 yield Progress(done, len(active), f"measuring the true light at {name} in frame {frame}")
@@ -266,19 +248,11 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
             yield Progress(index, len(chosen), f"capturing frame {frame}")
             path = study.folder / f"walk_{frame:04d}.exr"
             frames.append(kept_capture(path, scanner, frame, scanner.acquire_environment_scan))
-            path, read = study.folder / f"probes_{frame:04d}.json", functools.partial(kept_truths, active)
+            path = study.folder / f"probes_{frame:04d}.json"
             job = part_of(len(chosen), index, 1, measured(frame, active))
-            truths.append((yield from kept_or_done(path, read, job)))
+            lights = yield from kept_or_done(dict[str, Light], path, job)
+            truths.append({name: np.array(light) for name, light in lights.items()})
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
-
-
-def kept_truths(names: Sequence[str], content: Json) -> dict[str, ArrayF64]:
-    """The lights that a walk keeps of a frame, (25, 3) by name; ValueError or LookupError where they are others."""
-    lights = {name: np.array(content[name], np.float64) for name in names}
-    for name, light in lights.items():
-        if light.shape != (N_COEFFICIENTS, 3) or not np.isfinite(light).all():
-            raise ValueError(f"{name}: expected finite coefficients ({N_COEFFICIENTS}, 3), got {light.shape}")
-    return lights
 
 
 def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:
