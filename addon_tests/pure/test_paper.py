@@ -59,7 +59,7 @@ def test_all_draws_at_once_give_what_each_gives_alone(statistic):
     assert measured(values, np.random.default_rng(5), statistic=statistic) == alone
 
 
-WRONG = {"unit": "", "n": 0, "low": 2.0, "high": float("nan"), "work": "much the same", "series": "without a place"}
+WRONG = {"unit": "", "n": 0, "low": 2.0, "high": float("nan"), "series": "without a place"}
 
 
 @pytest.mark.parametrize("wrong", [{name: value} for name, value in WRONG.items()])
@@ -76,7 +76,7 @@ def test_one_case_has_no_interval():
 
 
 def test_a_study_is_measured_once_and_again_for_another_seed(tmp_path):
-    outputs, calls = paper.PaperOutputs(tmp_path), []
+    calls = []
 
     def measure(sessions, options):
         calls.append(options.seed)
@@ -85,7 +85,7 @@ def test_a_study_is_measured_once_and_again_for_another_seed(tmp_path):
     study = Study("mean", "A mean", 1, "The paper took a mean.", measure)
     for seed, inputs in ((0, "a"), (0, "a"), (1, "b")):
         settings = paper.PaperSettings(quick=True, seed=seed)
-        run_blocking(paper.measure_studies([study], [SESSION], outputs, settings, inputs))
+        run_blocking(paper.measure_studies([study], [SESSION], tmp_path, settings, inputs))
     assert calls == [0, 1]
     assert (tmp_path / "mean.csv").read_text().count("\n") == 2
 
@@ -104,13 +104,12 @@ def test_studies_are_kept_where_another_package_offers_an_estimator(monkeypatch)
 
 
 def test_a_study_that_is_stopped_leaves_nothing_and_the_next_run_measures_it(tmp_path):
-    outputs = paper.PaperOutputs(tmp_path)
-    sessions = [SESSION, Session("other", (), 1.0, ())]
-    with contextlib.closing(paper.measure_studies([STUDY], sessions, outputs, SETTINGS, "a")) as job:
+    sessions, result = [SESSION, Session("other", (), 1.0, ())], tmp_path / "results" / "mean.json"
+    with contextlib.closing(paper.measure_studies([STUDY], sessions, tmp_path, SETTINGS, "a")) as job:
         next(job), next(job)
-    assert not outputs.result("mean").exists()
-    run_blocking(paper.measure_studies([STUDY], sessions, outputs, SETTINGS, "a"))
-    assert len(json.loads(outputs.result("mean").read_text())["rows"]) == 2
+    assert not result.exists()
+    run_blocking(paper.measure_studies([STUDY], sessions, tmp_path, SETTINGS, "a"))
+    assert len(json.loads(result.read_text())["rows"]) == 2
 
 
 def test_a_study_that_cannot_be_measured_says_why_and_is_tried_again(tmp_path):
@@ -118,17 +117,15 @@ def test_a_study_that_cannot_be_measured_says_why_and_is_tried_again(tmp_path):
         raise UserError("torch is missing")
         yield
 
-    outputs = paper.PaperOutputs(tmp_path)
-    run_blocking(paper.measure_studies([Study("net", "Net", 1, "It ran.", measure)], [], outputs, SETTINGS, "a"))
+    run_blocking(paper.measure_studies([Study("net", "Net", 1, "It ran.", measure)], [], tmp_path, SETTINGS, "a"))
     study = Study("net", "Net", 1, "It ran.", measure)
-    assert paper.kept_result(outputs, study, "a").failed_because == "torch is missing"
+    assert paper.kept_result(tmp_path, study, "a").failed_because == "torch is missing"
 
 
 def test_report_and_page_show_every_figure_beside_the_papers(tmp_path):
-    outputs = paper.PaperOutputs(tmp_path)
-    run_blocking(paper.measure_studies([STUDY], [SESSION], outputs, SETTINGS, "a"))
-    results = [paper.kept_result(outputs, STUDY, "a")]
-    page = report_page([STUDY], results, outputs.pictures, "xihe paper --quick")
+    run_blocking(paper.measure_studies([STUDY], [SESSION], tmp_path, SETTINGS, "a"))
+    results = [paper.kept_result(tmp_path, STUDY, "a")]
+    page = report_page([STUDY], results, tmp_path / "pictures", "xihe paper --quick")
     words = paper_markdown([STUDY], results, "xihe paper --quick", tmp_path)
     for text in (page.replace("\N{NARROW NO-BREAK SPACE}", " "), words):
         assert all(said in text for said in ("mean in room", "5.50 ms", "40 draws", "same work", "xihe paper --quick"))
@@ -145,7 +142,7 @@ def test_the_page_of_the_documentation_has_no_details_and_says_a_sentence_once(t
     assert words.count("Alike.") == 1 and "- Few.\n" in words and "| curve |" not in words
     assert "2 figures" in words and "`report.html` has 1 more.\n" in words
     assert "(differences.md)" in paper_markdown([STUDY], results, "xihe paper", ROOT / "docs") and "](" not in words
-    assert "curve" in report_page([STUDY], results, lambda name: Path("nowhere"), "xihe paper")
+    assert "curve" in report_page([STUDY], results, Path("nowhere"), "xihe paper")
 
 
 def test_studies_have_names_of_their_own_in_the_order_of_the_paper():

@@ -24,11 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
     """Do it; 1 where a study could not be measured."""
     from xihe_blender.jobs import run_blocking
-    from xihe_blender.lab.paper.run import PaperOutputs, PaperSettings, evaluate_paper
+    from xihe_blender.lab.paper.run import PaperSettings, evaluate_paper
 
     settings = PaperSettings(options.quick, tuple(options.only), tuple(options.scenes), options.seed, options.document)
     results = run_blocking(evaluate_paper(options.out, settings, options.command_line), progress_line(stderr))
     for one in results:
         print(f"{one.name}: {one.failed_because or f'{len(one.rows)} figures'}", file=stdout)
-    print(PaperOutputs(options.out).report, file=stdout)
+    print(options.out / "report.html", file=stdout)
     return EXIT_IN_PART if any(one.failed_because for one in results) else 0

@@ -12,7 +12,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -70,14 +70,10 @@ class Row:
     is_detail: bool = False
 
     def __post_init__(self) -> None:
-        if not (self.what and self.unit and self.sentence):
-            raise ValueError(f"Row {self.what!r}: expected words for what it is, a unit and a sentence")
-        if self.work not in get_args(Work):
-            raise ValueError(f"Row {self.what!r}: expected work out of {get_args(Work)}, got {self.work!r}")
-        if self.n < 1 or not self.low <= self.value <= self.high or not math.isfinite(self.high - self.low):
-            raise ValueError(f"Row {self.what!r}: expected {self.value} within [{self.low}, {self.high}] of {self.n}")
-        if bool(self.series) != (self.at is not None):
-            raise ValueError(f"Row {self.what!r}: a drawing takes a series and a place across")
+        is_complete = self.what and self.unit and self.sentence and bool(self.series) == (self.at is not None)
+        is_held = self.n > 0 and self.low <= self.value <= self.high and math.isfinite(self.high - self.low)
+        if not is_complete or not is_held:
+            raise ValueError(f"Row {self.what!r}: expected words, a unit and an interval that holds it, got {self}")
 
 
 @dataclass(frozen=True)

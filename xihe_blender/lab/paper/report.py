@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,12 +41,10 @@ ALIKE = f"Where all cases are alike there is {NO_SPREAD}."
 N_COLOURS = 6
 
 
-def report_page(
-    studies: Sequence[Study], results: Sequence[StudyResult], pictures: Callable[[str], Path], command: str
-) -> str:
+def report_page(studies: Sequence[Study], results: Sequence[StudyResult], pictures: Path, command: str) -> str:
     by_name = {one.name: one for one in results}
     sections = [
-        (study.name, escape(study.title), _section(study, by_name[study.name], pictures(study.name)))
+        (study.name, escape(study.title), _section(study, by_name[study.name], pictures / study.name))
         for study in studies
         if study.name in by_name
     ]

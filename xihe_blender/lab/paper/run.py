@@ -9,7 +9,6 @@ alone.
 from __future__ import annotations
 
 import datetime
-import functools
 import hashlib
 import importlib
 import inspect
@@ -27,8 +26,8 @@ import numpy as np
 
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest
-from xihe_blender.io.json_records import Json, as_json, from_json
-from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.json_records import Json, as_json
+from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.paper import studies
@@ -65,29 +64,6 @@ class PaperSettings:
     document: Path | None = None
 
 
-@dataclass(frozen=True)
-class PaperOutputs:
-    """The files of an evaluation below `folder`."""
-
-    folder: Path
-
-    def session(self, name: str) -> Path:
-        return self.folder / "sessions" / name
-
-    def result(self, name: str) -> Path:
-        return self.folder / "results" / f"{name}.json"
-
-    def table(self, name: str) -> Path:
-        return self.folder / f"{name}.csv"
-
-    def pictures(self, name: str) -> Path:
-        return self.folder / "pictures" / name
-
-    @property
-    def report(self) -> Path:
-        return self.folder / "report.html"
-
-
 def all_studies() -> list[Study]:
     """In the order of the paper."""
     names = [one.name for one in pkgutil.iter_modules(studies.__path__)]
@@ -115,23 +91,23 @@ def evaluate_paper(out: Path, settings: PaperSettings, command: str) -> Job[list
     files = scene_files(settings.scenes)
     hashes = {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     walk = QUICK_WALK if settings.quick else WalkSettings()
-    outputs = PaperOutputs(out)
     needs_rooms = any(study.needs_rooms for study in chosen)
     for file in files if needs_rooms else ():
-        check_session(file, outputs.session(file.stem), walk, settings.seed)
+        check_session(file, out / "sessions" / file.stem, walk, settings.seed)
     decides = {"xihe": __version__, "scenes": hashes, "settings": {"quick": settings.quick, "seed": settings.seed}}
-    manifest = FolderManifest(out, out / "settings.json", "an evaluation of the paper", decides, (outputs.report,))
+    report = out / "report.html"
+    manifest = FolderManifest(out, out / "settings.json", "an evaluation of the paper", decides, (report,))
     with manifest.held():
         sessions = []
         for number, file in enumerate(files if needs_rooms else ()):
-            job = recorded_session(file, outputs.session(file.stem), walk, settings.seed)
+            job = recorded_session(file, out / "sessions" / file.stem, walk, settings.seed)
             share = SHARE_OF_RECORDING / len(files)
             sessions.append((yield from part_of(1, number * share, share, job, file.stem)))
         inputs = study_inputs(decides, walk)
-        yield from measure_studies(chosen, sessions, outputs, settings, inputs)
-        kept = {study.name: kept_result(outputs, study, inputs) for study in all_studies()}
-        results = [one for one in kept.values() if one is not None]
-        write_document(outputs.report, report_page(all_studies(), results, outputs.pictures, command))
+        yield from measure_studies(chosen, sessions, out, settings, inputs)
+        kept = [kept_result(out, study, inputs) for study in all_studies()]
+        results = [one for one in kept if one is not None]
+        write_document(report, report_page(all_studies(), results, out / "pictures", command))
         if settings.document is not None:
             page = paper_markdown(all_studies(), results, command, settings.document.parent)
             write_document(settings.document, page)
@@ -147,16 +123,16 @@ def study_inputs(decides: Json, walk: WalkSettings) -> str:
 
 
 def measure_studies(
-    chosen: Sequence[Study], sessions: Sequence[Session], outputs: PaperOutputs, settings: PaperSettings, inputs: str
+    chosen: Sequence[Study], sessions: Sequence[Session], out: Path, settings: PaperSettings, inputs: str
 ) -> Job[None]:
     """A job: each study that has no result of the same `inputs` yet, and its table."""
     share = (1 - SHARE_OF_RECORDING) / max(1, len(chosen))
     for number, study in enumerate(chosen):
         done = SHARE_OF_RECORDING + number * share
         yield Progress(done, 1, study.title)
-        result = kept_result(outputs, study, inputs)
+        result = kept_result(out, study, inputs)
         if result is None or result.failed_because:
-            options = StudyOptions(settings.quick, settings.seed, outputs.pictures(study.name))
+            options = StudyOptions(settings.quick, settings.seed, out / "pictures" / study.name)
             rows, failed, start = [], "", time.perf_counter()
             try:
                 for row in study.measure(sessions, options):
@@ -168,9 +144,9 @@ def measure_studies(
             result = StudyResult(
                 study.name, _made_from(study, inputs), today, elapsed_s, machine_words(), tuple(rows), failed
             )
-            write_json(outputs.result(study.name), as_json(result))
+            write_json(_result_file(out, study), as_json(result))
         if result.rows:
-            write_csv(outputs.table(study.name), [asdict(row) for row in result.rows], [f.name for f in fields(Row)])
+            write_csv(out / f"{study.name}.csv", [asdict(row) for row in result.rows], [f.name for f in fields(Row)])
 
 
 def _why(error: Exception) -> str:
@@ -178,9 +154,13 @@ def _why(error: Exception) -> str:
     return f"it needs a package: pip install 'xihe-blender[{extra}]'" if extra else " ".join(str(error).split())
 
 
-def kept_result(outputs: PaperOutputs, study: Study, inputs: str) -> StudyResult | None:
+def _result_file(out: Path, study: Study) -> Path:
+    return out / "results" / f"{study.name}.json"
+
+
+def kept_result(out: Path, study: Study, inputs: str) -> StudyResult | None:
     """What was measured from the same inputs by the same source."""
-    result = kept_json(outputs.result(study.name), functools.partial(from_json, StudyResult))
+    result = kept_record(StudyResult, _result_file(out, study))
     return result if result is not None and result.made_from == _made_from(study, inputs) else None
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from xihe_blender.errors import UserError, of_file
 from xihe_blender.io.exr import read_radiance
 from xihe_blender.io.json_records import Json
-from xihe_blender.io.kept_files import kept_json
-from xihe_blender.io.outputs import write_json
+from xihe_blender.io.kept_files import kept_json, kept_or_done
+from xihe_blender.io.outputs import check_names_differ
 from xihe_blender.jobs import Job, part_of, run_blocking
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet.camera_path.placement import evenly_chosen
@@ -37,8 +37,6 @@ SCENES = Path(__file__).parents[3] / "blend_scenes"
 ROOMS = (
     "living_room", "bedroom_night", "cornell_box", "courtyard", "walk_around", "light_temperature", "light_intensity",
 )  # fmt: skip
-FACTS_FILE = "facts.json"
-FACTS = {"positions_m", "names", "n_between", "is_steady", "exposure", "capture_change"}
 
 
 @dataclass(frozen=True)
@@ -49,6 +47,18 @@ class WalkSettings:
     size: tuple[int, int] = (256, 192)
     preset: str = "balanced"
     n_places: int = 12
+
+
+@dataclass(frozen=True)
+class WalkFacts:
+    """What is known of a recorded walk besides its frames: places of the truth, and fields of `Session`."""
+
+    positions_m: tuple[tuple[float, float, float], ...]
+    names: tuple[str, ...]
+    n_between: int
+    is_steady: bool
+    exposure: float
+    capture_change: float | None
 
 
 QUICK_WALK = WalkSettings(16, (192, 144), "draft", 4)
@@ -62,9 +72,7 @@ def scene_files(given: Sequence[Path]) -> tuple[Path, ...]:
     if missing := [file for file in files if not file.exists()]:
         fix = "no such file" if given else "run it from a checkout of the project, or give --scenes"
         raise UserError(f"{missing[0]}: {fix}")
-    names = [file.stem for file in files]
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
+    check_names_differ(files)
     return files
 
 
@@ -81,9 +89,7 @@ def recorded_session(file: Path, folder: Path, walk: WalkSettings, seed: int) ->
 
     UserError for a scene that cannot be recorded.
     """
-    facts = kept_json(folder / FACTS_FILE, lambda kept: kept if isinstance(kept, dict) and set(kept) >= FACTS else None)
-    if facts is None:
-        facts = yield from _record(file, folder, walk, seed)
+    facts = yield from kept_or_done(WalkFacts, folder / "facts.json", _record(file, folder, walk, seed))
     return _session(file, folder, facts)
 
 
@@ -132,7 +138,7 @@ def planned_walk(
     return scene, plan, replace(settings, frames=frames), frames, n_between
 
 
-def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json]:
+def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[WalkFacts]:
     from xihe_blender.previs.record import RecordWishes, record_session
 
     scene, plan, settings, frames, n_between = planned_walk(file, walk, seed)
@@ -144,23 +150,16 @@ def _record(file: Path, folder: Path, walk: WalkSettings, seed: int) -> Job[Json
     places |= {f"place_{k}": place_m for k, place_m in enumerate(found)}
     if not places:
         raise UserError(f"{file}: the walk shows no surface and no virtual object where light could be estimated")
-    positions_m = [(float(x), float(y), float(z)) for x, y, z in places.values()]
+    positions_m = tuple((float(x), float(y), float(z)) for x, y, z in places.values())
     if is_steady:
         wishes = RecordWishes(has_truth=True, at_m=positions_m)
         yield from part_of(
             2, 1, 1, record_session(open_walk(file, n_between), folder, settings, wishes, blend_file=file)
         )
     noise = kept_json(folder / "work" / "sample_count.json", dict) or {}
-    facts = {
-        "positions_m": positions_m,
-        "names": list(places),
-        "n_between": n_between,
-        "is_steady": is_steady,
-        "exposure": capture.reference_exposure,
-        "capture_change": noise.get("capture_change"),
-    }
-    write_json(folder / FACTS_FILE, facts)
-    return facts
+    exposure, change = capture.reference_exposure, noise.get("capture_change")
+    assert exposure is not None
+    return WalkFacts(positions_m, tuple(places), n_between, is_steady, exposure, change)
 
 
 def _is_steady(scene: bpy.types.Scene, plan: PrevisPlan, frames: Sequence[int]) -> bool:
@@ -174,15 +173,13 @@ def _is_steady(scene: bpy.types.Scene, plan: PrevisPlan, frames: Sequence[int]) 
     return all(made_in == frames[0] for made_in in reuse.probes.values())
 
 
-def _session(file: Path, folder: Path, facts: Json) -> Session:
+def _session(file: Path, folder: Path, facts: WalkFacts) -> Session:
     """What was recorded in `folder`, with the true light of a steady room."""
     frames: list[RgbdFrame] = [one.read() for one in open_capture(folder).frames]
-    positions = [np.array(position_m) for position_m in facts["positions_m"]]
-    lights: list[dict[str, Json]] = (
-        read_json(folder / "truth.json")["places"] if facts["is_steady"] else [{}] * len(positions)
-    )
-    places = [_place(*one, folder) for one in zip(facts["names"], positions, lights, strict=True)]
-    return Session(file.stem, frames, facts["exposure"], places, file, facts["capture_change"], facts["n_between"])
+    positions = [np.array(position_m) for position_m in facts.positions_m]
+    lights: list[Json] = read_json(folder / "truth.json")["places"] if facts.is_steady else [{}] * len(positions)
+    places = [_place(*one, folder) for one in zip(facts.names, positions, lights, strict=True)]
+    return Session(file.stem, frames, facts.exposure, places, file, facts.capture_change, facts.n_between)
 
 
 def _place(name: str, position_m: ArrayF64, light: dict[str, Json], folder: Path) -> Place:
