@@ -65,9 +65,7 @@ def _render_missing(run: PreparedRun, chain: ChainResult, missing: Sequence[int]
     """All ground truths, then all methods, so that Cycles builds each of the two scenes once."""
     if not missing:
         return
-    with methods.open_comparer(
-        run.scene, run.plan.objects, run.methods, run.comparison, has_key_light=run.settings.has_key_light
-    ) as comparer:
+    with run.open_comparer(run.methods) as comparer:
         yield from render_ground_truths(run, missing, comparer)
         for done, frame in enumerate(missing):
             yield run.progress("methods", done / len(missing), f"comparing frame {frame}")

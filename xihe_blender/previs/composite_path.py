@@ -43,11 +43,9 @@ def composite_path(run: PreparedRun, chain: ChainResult) -> Job[dict[int, dict[s
 def _render_missing(run: PreparedRun, chain: ChainResult, shown: list[str], missing: list[int]) -> Iterator[Progress]:
     if not missing:
         return
-    scan, has_key_light = scan_of(run.scene), run.settings.has_key_light
-    over = OverRecording(run.exposure, triangles_of(scan) if scan is not None and has_key_light else None)
-    with methods.open_comparer(
-        run.scene, run.plan.objects, shown, run.comparison, has_key_light=has_key_light, recording=over
-    ) as comparer:
+    scan = scan_of(run.scene) if run.settings.has_key_light else None
+    over = OverRecording(run.exposure, None if scan is None else triangles_of(scan))
+    with run.open_comparer(shown, over) as comparer:
         for done, frame in enumerate(missing):
             yield run.progress("methods", done / len(missing), f"putting the objects into frame {frame}")
             _composite(run, chain, shown, frame, comparer)

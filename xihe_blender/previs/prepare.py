@@ -18,6 +18,7 @@ from xihe_blender.apply.reflection_pictures import required_light
 from xihe_blender.capture.reference_probe import ProbeSettings, ReferenceProbe, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
+from xihe_blender.compare.methods import Comparer, OverRecording, open_comparer
 from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_json, kept_or_done, kept_or_made, kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
@@ -81,6 +82,15 @@ class PreparedRun:
         items = {item.name: item for item in self.plan.objects}
         objects = [items.get(place.object_name) for place in places]
         return open_reference_probe(self.scene, [place.position_m for place in places], self.reference, objects)
+
+    def open_comparer(
+        self, methods: Sequence[str], recording: OverRecording | None = None
+    ) -> contextlib.AbstractContextManager[Comparer]:
+        """Comparisons of `methods` on the virtual objects, with shadows where the run has them."""
+        return open_comparer(
+            self.scene, self.plan.objects, methods, self.comparison, has_key_light=self.settings.has_key_light,
+            recording=recording,
+        )  # fmt: skip
 
     @property
     def estimator(self) -> Estimator:

@@ -21,7 +21,7 @@ from xihe_blender.io.provenance import machine, software
 from xihe_blender.io.run_lights import as_coefficients, as_key
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.results_notes import mean_object_pixels, notes, recorded_notes, recorded_warnings, warnings
+from xihe_blender.previs.results_notes import mean_object_pixels, notes_and_warnings
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean
@@ -94,6 +94,7 @@ def assemble(
     """
     scene, profile = run.scene, run.phone.profile
     comparison = _mean_comparison(frames)
+    notes, warnings = notes_and_warnings(run, frames, phone, recording)
     effects = effects_as_json({**run.effects, **_other_effects(scene), **phone.effects})
     return records.RunResults(
         software=software(command),
@@ -118,8 +119,8 @@ def assemble(
         lights={name: tuple(of_one) for name, of_one in lights.items()},
         comparison=comparison,
         summary=_summary(frames, comparison, run.sample_count.pilot_s, run.settings.estimator),
-        notes=tuple(notes(run, frames, phone) if recording is None else recorded_notes(run, frames, recording)),
-        warnings=tuple(warnings(run, frames) if recording is None else recorded_warnings(run, frames)),
+        notes=notes,
+        warnings=warnings,
         recording=recording,
     )
 

@@ -33,41 +33,40 @@ NEXT_TO_NOTHING, NEARLY_ALL = 1e-2, 0.9
 white."""
 
 
-def notes(run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone) -> list[str]:
-    return [
+def notes_and_warnings(
+    run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone, recording: RecordingResult | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """All, and those that ask the reader to check or change something."""
+    if recording is not None:
+        warnings = recorded_warnings(run, frames)
+        return (*recorded_notes(run, frames, recording), *warnings), tuple(warnings)
+    unanswered, is_chosen = list(unanswered_notes(frames)), run.settings.exposure is not None
+    faults = list(faults_seen(run.survey.faults, frames, math.prod(run.plan.size), is_chosen=is_chosen))
+    faults += dim_notes(run.scene, run.settings, run.exposure, frames)
+    exposed, small = list(exposure_notes(run.settings, run.exposure, frames)), list(small_notes(frames))
+    notes = (
         *frame_notes(run.scene, frames),
         *backend_notes(run),
-        *unanswered_notes(frames),
+        *unanswered,
         *light_notes(run.settings, run.plan.objects),
         *shadow_notes(frames),
-        *faults_seen(run.survey.faults, frames, math.prod(run.plan.size), is_chosen=run.settings.exposure is not None),
-        *dim_notes(run.scene, run.settings, run.exposure, frames),
+        *faults,
         *phone.notes(),
-        *exposure_notes(run.settings, run.exposure, frames),
+        *exposed,
         *noise_notes(run.settings, run.sample_count, frames),
         *white_notes(frames),
-        *small_notes(frames),
-    ]
-
-
-def warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
-    """Those of `notes` that ask the reader to check or change something."""
-    return [
-        *unanswered_notes(frames),
-        *faults_seen(run.survey.faults, frames, math.prod(run.plan.size), is_chosen=run.settings.exposure is not None),
-        *dim_notes(run.scene, run.settings, run.exposure, frames),
-        *exposure_notes(run.settings, run.exposure, frames),
-        *small_notes(frames),
-    ]
+        *small,
+    )
+    return notes, (*unanswered, *faults, *exposed, *small)
 
 
 def recorded_warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
-    """The same of `recorded_notes`."""
+    """The same of a run on a recording."""
     return [*unanswered_notes(frames), *(fault.said for fault in run.survey.faults)]
 
 
 def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: RecordingResult) -> Iterator[str]:
-    """Of a run on a recording, of which nothing was rendered but the objects."""
+    """Of a run on a recording, of which nothing was rendered but the objects; without what is a warning."""
     yield recording.said
     yield from recording.notes
     yield from backend_notes(run)
@@ -78,7 +77,6 @@ def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: R
     if run.settings.has_reflections:
         yield "Glossy parts reflect what the phone saw of the room, and a guess where it saw nothing."
     yield from unknown_light_notes(frames)
-    yield from recorded_warnings(run, frames)
 
 
 def backend_notes(run: PreparedRun) -> Iterator[str]:

@@ -25,7 +25,7 @@ import numpy as np
 from xihe_blender.capture.all_around import N_VIEWS
 from xihe_blender.capture.reference_probe import FEWEST_SAMPLES, ProbeSettings
 from xihe_blender.capture.scanner import open_scanner
-from xihe_blender.compare.methods import GroundTruth, open_comparer
+from xihe_blender.compare.methods import GroundTruth
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress, Steps, shown, timed
 from xihe_blender.previs.budget_seeds import N_SEEDS
@@ -185,9 +185,7 @@ def _timed_comparison(
     picture = Reflections(np.zeros((N_DIRECTIONS, 3), np.float32), 0.0) if run.settings.has_reflections else None
     nothing = ObjectLight(np.zeros((9, 3)), reflections=picture)
     dark = {method: {item.name: nothing for item in run.plan.objects} for method in run.methods}
-    with open_comparer(
-        run.scene, run.plan.objects, run.methods, run.comparison, has_key_light=run.settings.has_key_light
-    ) as comparer:
+    with run.open_comparer(run.methods) as comparer:
         truth: dict[int, GroundTruth] = {}
 
         def trace(frame: int) -> None:

@@ -30,7 +30,7 @@ from pathlib import Path
 
 import numpy as np
 
-from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure, open_comparer
+from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure
 from xihe_blender.io.folder_manifest import contents_sha256
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.kept_files import kept_json
@@ -52,6 +52,7 @@ from xihe_blender.lab.batch.results import (
 from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths, surfaces_known
 from xihe_blender.previs.files_read import files_named, files_read
 from xihe_blender.previs.path_renders import render_path
+from xihe_blender.previs.phone_errors import run_sessions
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
 from xihe_blender.previs.run_chain import ChainResult, Lights, run_chain
@@ -60,8 +61,6 @@ from xihe_blender.report.values import mean
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 from xihenet.io.recording import load_frame
-from xihenet.metrics import shc_rmse
-from xihenet.phone.session import PhoneSession
 from xihenet.records import ObjectLight
 
 FACTORS = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0)
@@ -176,10 +175,7 @@ def compare_unit(
     with contextlib.ExitStack() as stack:
         if missing:
             methods = [str(index) for index in range(len(runs))]
-            opened = open_comparer(
-                first.scene, first.plan.objects, methods, first.comparison, has_key_light=first.settings.has_key_light
-            )
-            comparer = stack.enter_context(opened)
+            comparer = stack.enter_context(first.open_comparer(methods))
             yield from render_ground_truths(first, missing, comparer)
         for done, frame in enumerate(frames):
             yield first.progress("methods", done / len(frames), f"comparing frame {frame}")
@@ -269,31 +265,19 @@ def trigger_sweep(run: PreparedRun, chain: ChainResult) -> list[TriggerFigures]:
 
     Empty for estimators that do not look at the anchors, and for a path that sees no position.
     """
-    active = [entry for entry in chain.frames if entry.active]
-    if run.settings.estimator in WITHOUT_ANCHORS or not active:
+    if run.settings.estimator in WITHOUT_ANCHORS or not any(entry.active for entry in chain.frames):
         return []
-    own, link = run.settings.trigger_in_use, chain.phone.link_in_use
+    own = run.settings.trigger_in_use
     factors = FACTORS if own.theta or own.coverage_theta else (1.0,)
     triggers = [own.scaled(factor) for factor in factors]
-    how, seed = replace(run.settings, light="sh").chain(run.exposure), run.settings.seed
-    each = [replace(how, trigger=trigger) for trigger in triggers]
-    sessions = [PhoneSession(run.plan.probes, one, run.estimator, link, seed=seed) for one in each]
-    errors: list[list[float]] = [[] for _ in factors]
-    n_fired = [0] * len(factors)
-    for entry in [entry for entry in chain.frames if entry.captured]:
-        seen, _ = chain.phone.see(load_frame(run.outputs.capture(entry.frame)), run.outputs)
-        truth = {probe.name: np.array(probe.sh_truth) for probe in entry.probes}
-        for index, session in enumerate(sessions):
-            reports, _ = session.step(seen, truth, list(truth))
-            n_fired[index] += sum(report.decision.fire for report in reports.values())
-            errors[index] += [shc_rmse(session.light(name, seen.time_s), light) for name, light in truth.items()]
+    sessions = run_sessions(run, chain, triggers, chain.phone.link_in_use)
     return [
         TriggerFigures(
             factor=factor,
             theta=trigger.light_theta if trigger.policy == "light" else trigger.theta,
             coverage_theta=trigger.coverage_theta,
             per_minute=estimates_per_minute(chain, fired),
-            shc_rmse=statistics.fmean(of_one),
+            shc_rmse=statistics.fmean(errors),
         )
-        for factor, trigger, fired, of_one in zip(factors, triggers, n_fired, errors, strict=True)
+        for factor, trigger, (fired, errors) in zip(factors, triggers, sessions, strict=True)
     ]
