@@ -30,6 +30,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
+from numpy.typing import NDArray
 
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.units import metres_per_unit
@@ -91,7 +92,7 @@ class Solids:
         self.is_exact = n_triangles <= MAX_TRIANGLES
         self._looks, self._surfaces = list(looks), np.concatenate(surfaces)
         self._points, self._triangles = np.concatenate(points), np.concatenate(triangles)
-        self._tree = BVHTree.FromPolygons(self._points.tolist(), self._triangles.tolist(), all_triangles=True)
+        self._tree = BVHTree.FromPolygons(_rows(self._points), _rows(self._triangles), all_triangles=True)
 
     def nearest(self, place: Vector, direction: Vector) -> tuple[Vector, Vector, float | None] | None:
         """The first surface from `place` along the unit vector `direction`, in the world; None if there is none.
@@ -131,6 +132,11 @@ def _triangles(item: bpy.types.Object, *, is_boxed: bool) -> tuple[ArrayF64, Arr
     if item.type != "MESH":
         item.to_mesh_clear()
     return points, triangles, slots
+
+
+def _rows(table: NDArray[Any]) -> list[tuple[Any, ...]]:
+    """Its rows as Python's numbers: by columns, since a list of each row takes three times as long."""
+    return list(zip(*table.T.tolist(), strict=True))
 
 
 def undivided_mesh(item: bpy.types.Object) -> bpy.types.Mesh:
