@@ -150,6 +150,21 @@ def test_replay_warns_of_a_place_that_lies_behind_what_every_frame_shows_there_o
     assert warned[0].split()[4].startswith(f"{far[0]:g}"[:4])
 
 
+def test_frames_that_are_kept_are_read_once_and_the_others_as_often_as_asked(tmp_path):
+    n_read = []
+    capture = open_capture(as_tum(tmp_path, walk(TUM, 4)))
+    counted = [replace(one, load=lambda one=one: n_read.append(one.number) or one.load()) for one in capture.frames]
+    of_one = sum(getattr(value, "nbytes", 0) for value in vars(capture.frames[0].load()).values())
+    kept = replace(capture, frames=counted).kept_once_read(2 * of_one)
+    numbers = [frame.number for frame in capture.frames]
+    for _ in range(2):
+        for found, expected in zip(kept, capture, strict=True):
+            assert found.frame == expected.frame and found.time_s == expected.time_s
+            np.testing.assert_array_equal(found.srgb_u8, expected.srgb_u8)
+            np.testing.assert_array_equal(found.plane_depth_m, expected.plane_depth_m)
+    assert n_read == [*numbers, *numbers[2:]]
+
+
 def test_a_long_replay_says_how_far_it_is(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(replay_command, "SHOWN_EVERY_S", 0.0)
     path = as_plain(tmp_path / "in", walk(SMALL, 3))

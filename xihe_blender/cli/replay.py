@@ -176,7 +176,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 def _prepared(options: argparse.Namespace, stderr: Any) -> tuple[Capture, Drift | None, Reading]:
     """Every N-th frame, with a note where its conventions look wrong, and with its drift divided out."""
     capture = open_capture(options.session, options.up, scale=options.scale, floor_m=options.floor)
-    capture = replace(capture, frames=capture.frames[:: options.every])
+    capture = replace(capture, frames=capture.frames[:: options.every]).kept_once_read()
     if options.score and len(capture.frames) < LEAST_FRAMES:
         raise UserError(f"--score leaves frames out: give {LEAST_FRAMES} frames or more")
     suspected = suspicion(capture)

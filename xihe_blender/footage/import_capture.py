@@ -114,12 +114,12 @@ def read_captured(captured: CapturedFrame) -> RgbdFrame:
 def steadied_frames(capture: Capture) -> dict[int, CapturedFrame]:
     """As `captured_frames`, with the drift of exposure and white balance followed where frames do not say theirs.
 
-    For that every frame is read once. UserError where one cannot be.
+    For that every frame is read. UserError where one cannot be.
     """
     if capture.is_exposure_known:
         return captured_frames(capture)
     with as_user_error():
-        return captured_frames(steadied(capture)[0])
+        return captured_frames(steadied(capture.kept_once_read())[0])
 
 
 def import_capture(
@@ -136,7 +136,7 @@ def import_capture(
 
     UserError for a recording that cannot be read, with the scene as it was; OSError where no pictures can be written.
     """
-    capture = opened_capture(chosen)
+    capture = opened_capture(chosen).kept_once_read()
     numbered = captured_frames(capture)
     if blend_folder is None and bpy.data.filepath:
         blend_folder = Path(bpy.data.filepath).parent

@@ -5,12 +5,15 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 from xihenet.io.frame_files import FrameCamera
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.trigger import TriggerSettings
+
+KEPT_BYTES = 2**28
+"""Of frames that are read more than once: some 700 of 256x192."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +74,23 @@ class Capture:
     def __iter__(self) -> Iterator[RgbdFrame]:
         """The frames, one in memory at a time."""
         return (frame.read() for frame in self.frames)
+
+    def kept_once_read(self, most_bytes: int = KEPT_BYTES) -> Capture:
+        """The same recording, of which what is read first stays in memory, up to `most_bytes`."""
+        kept: dict[int, RgbdFrame] = {}
+
+        def load(index: int) -> RgbdFrame:
+            nonlocal most_bytes
+            if index in kept:
+                return kept[index]
+            frame = self.frames[index].load()
+            most_bytes -= sum(getattr(value, "nbytes", 0) for value in vars(frame).values())
+            if most_bytes >= 0:
+                kept[index] = frame
+            return frame
+
+        frames = [replace(frame, load=partial(load, index)) for index, frame in enumerate(self.frames)]
+        return replace(self, frames=frames)
 
 
 def inside(folder: Path, name: str) -> Path:

@@ -186,7 +186,7 @@ def follow_drift(frames: Iterable[RgbdFrame]) -> Drift:
 def steadied(capture: Capture) -> tuple[Capture, Drift]:
     """The recording with the drift of its exposure and white balance in `RgbdFrame.white_balance`, and that drift.
 
-    Every frame is read once for it. Raises as `CapturedFrame.read`.
+    Every frame is read for it. Raises as `CapturedFrame.read`.
     """
     drift = follow_drift(capture)
     frames = [frame.changed(partial(_with, gains)) for frame, gains in zip(capture.frames, drift.gains, strict=True)]
