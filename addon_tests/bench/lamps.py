@@ -34,7 +34,8 @@ from test_reference_probe import (  # noqa: E402
 )
 
 from xihe_blender.io.blender_output import only_our_output  # noqa: E402
-from xihe_blender.previs.settings import PRESETS, PrevisSettings  # noqa: E402
+from xihe_blender.previs.presets import PRESETS  # noqa: E402
+from xihe_blender.previs.settings import PrevisSettings  # noqa: E402
 from xihenet.sh import basis  # noqa: E402
 
 DIRECTIONS = [np.array(d) / np.linalg.norm(d) for d in itertools.product((-1, 0, 1), repeat=3) if any(d)]

@@ -30,7 +30,8 @@ from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.props.surfaces import Shader
 from xihe_blender.previs.plan import plan_previs
-from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.previs.presets import PRESETS
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects

@@ -16,7 +16,7 @@ from xihe_blender import addon
 from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import path_chosen, preferences
 from xihe_blender.packaging.extension import build_extension, packed
-from xihe_blender.previs.settings import PRESETS
+from xihe_blender.previs.presets import DEFAULT, PRESETS
 from xihe_blender.scene.state import WORKING
 from xihenet import estimators
 from xihenet.estimators import Target
@@ -86,8 +86,8 @@ def test_the_lists_are_those_of_the_science():
         scene = empty_scene()
         assert scene.xihe.estimator == choices.DEFAULT_ESTIMATOR == estimators.DEFAULT
         assert scene.xihe.phone == choices.DEFAULT_PHONE
+        assert scene.xihe.preset == choices.DEFAULT_PRESET == DEFAULT
         for items, names in (
-            (choices.PRESETS, PRESETS),
             (choices.LIGHT_PARTS, get_args(LightChoice)),
             (choices.TARGETS, get_args(Target)),
             (choices.METERINGS, [choices.PHONES_METERING, *METERINGS]),
@@ -96,6 +96,7 @@ def test_the_lists_are_those_of_the_science():
             assert sorted(name for name, *_ in items) == sorted(names)
         for items, names in (
             (choices.estimator_items, estimators.names()),
+            (choices.preset_items, list(PRESETS)),
             (choices.phone_items, [*profile_names(), choices.FROM_FILE]),
             (choices.network_items, [choices.NO_NETWORK, *LINKS]),
         ):

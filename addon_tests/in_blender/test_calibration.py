@@ -15,7 +15,8 @@ from xihe_blender.addon.planning_operators import calibration_file, calibration_
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.calibrate import Calibration, calibrate, format_calibration, save_calibration
-from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.previs.presets import PRESETS
+from xihe_blender.previs.settings import PrevisSettings
 
 pytestmark = pytest.mark.usefixtures("addon")
 SMALL = PrevisSettings(size=(32, 24), exposure=1.0)

@@ -23,7 +23,7 @@ from xihe_blender.lab.frontier.pictures import LIGHTS
 from xihe_blender.lab.frontier.points import family, group, groups
 from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.study import exhaustive_render, frontier
-from xihe_blender.previs.settings import PRESETS
+from xihe_blender.previs.presets import PRESETS
 from xihenet.pareto import on_front
 
 TINY = StudySize(2, 1, 1, 1, 1, 2, 4, (1, 2), 1)

@@ -17,6 +17,7 @@ from addon_tests.pure import runs
 from xihe_blender.addon import panels
 from xihe_blender.addon import runs_folder as reader
 from xihe_blender.addon.failures import in_the_panels_words
+from xihe_blender.previs.presets import PRESETS
 
 CONTENT = runs.content(
     [
@@ -150,7 +151,7 @@ def test_the_readme_says_where_the_quickest_quality_is_chosen():
     readme = Path(__file__).parents[2].joinpath("README.md").read_text(encoding="utf-8")
     with registered_addon():
         quality = bpy.context.scene.xihe.bl_rna.properties["preset"]
-        where = f"{panels.XIHE_PT_estimator.bl_label} > {quality.name} > {quality.enum_items['draft'].name}"
+        where = f"{panels.XIHE_PT_estimator.bl_label} > {quality.name} > {PRESETS['draft'].label}"
     assert f"**{where}** is quickest" in readme
 
 

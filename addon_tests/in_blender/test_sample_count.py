@@ -18,6 +18,7 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import NOISE_MARGIN, above_noise
+from xihe_blender.previs.presets import PRESETS
 from xihe_blender.previs.sample_count import (
     LARGE_STEP,
     SMALLEST_LIGHT,
@@ -30,7 +31,7 @@ from xihe_blender.previs.sample_count import (
     pilot_samples,
     pilot_views,
 )
-from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
+from xihe_blender.previs.settings import PREVIS_TRIGGER, PrevisSettings
 from xihe_blender.previs.survey import survey_path
 from xihenet.camera import unproject_frame
 from xihenet.io.recording import load_frame

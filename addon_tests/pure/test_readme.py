@@ -12,6 +12,7 @@ from addon_tests.pure.recordings import SMALL, looking, seen
 from xihe_blender.cli.document import TRAINING, WITHOUT_TRAINING, document
 from xihe_blender.cli.main import command_parser
 from xihe_blender.io.run_results import METRICS
+from xihe_blender.previs.presets import PRESETS
 from xihenet import __version__, estimators
 from xihenet.captures.reading import READERS
 from xihenet.captures.replay import REPLAY_TRIGGER
@@ -205,7 +206,7 @@ def test_the_index_names_every_page_once():
 @pytest.mark.parametrize(
     ("page", "names"),
     [
-        ("previs.md", estimators.names()),
+        ("previs.md", [*estimators.names(), *PRESETS]),
         ("phone.md", [*profile_names(), *LINKS, *PHONE_EFFECTS]),
         ("platforms.md", PLATFORMS),
         ("results.md", METRICS),

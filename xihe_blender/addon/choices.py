@@ -17,14 +17,10 @@ Item: TypeAlias = tuple[str, str, str, str, int]
 
 DEFAULT_ESTIMATOR = "lattice"
 DEFAULT_PHONE = "perfect"
+DEFAULT_PRESET = "balanced"
 FROM_FILE = "FILE"
 NO_NETWORK = "NONE"
 
-PRESETS = (
-    ("draft", "Draft", "Few samples, every second frame compared: minutes on a laptop"),
-    ("balanced", "Balanced", "Rendering noise stays well below the error of the estimates"),
-    ("accurate", "Accurate", "As little noise as ground truth needs; slow"),
-)
 TARGETS = (
     (
         "hdr",
@@ -96,6 +92,13 @@ def other_estimator_items() -> list[Item]:
     always = ("ambient", "truth")
     items = [item for item in estimator_items(None, None) if item[0] not in always]
     return [(*item[:3], "NONE", 1 << bit) for bit, item in enumerate(items)]
+
+
+@_listed
+def preset_items() -> list[Item]:
+    from xihe_blender.previs.presets import PRESETS
+
+    return [_item(name, preset.label, preset.summary, "NONE") for name, preset in PRESETS.items()]
 
 
 @_listed

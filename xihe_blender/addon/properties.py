@@ -136,8 +136,8 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     preset: bpy.props.EnumProperty(
         name="Quality",
         description="How much time a run may spend on rendering",
-        items=choices.PRESETS,
-        default="balanced",
+        items=choices.preset_items,
+        default=choices.number_of(choices.DEFAULT_PRESET),
     )
     target: bpy.props.EnumProperty(
         name="Target", description="Which light is estimated, and compared with the true one", items=choices.TARGETS

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from xihe_blender.previs import presets
+from xihe_blender.previs.presets import PRESETS
 from xihenet import estimators
 from xihenet.camera import DEFAULT_SIZE
 from xihenet.io.frame_files import BLENDER_FROM_UP
@@ -49,7 +51,7 @@ def add_capture(add: Callable[..., None], *, has_estimator: bool = True) -> None
     add("--frames A:B[:S]", FRAMES, frame_range)
     if has_estimator:
         add("--estimator NAME", f"{ESTIMATORS}; default: {estimators.DEFAULT}", default=estimators.DEFAULT)
-    add("--preset NAME", "draft, balanced or accurate: how much is rendered", default="balanced")
+    add("--preset NAME", PRESET, default=presets.DEFAULT)
     add("--size WxH", SIZE, picture_size)
     add("--exposure FACTOR", "exposure of the phone, locked; default: metered", float)
     add("--phone NAME|FILE.toml", PHONES, default="perfect")
@@ -129,6 +131,11 @@ def one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}"
 
 
+def by_preset(name: str) -> str:
+    """A default that each preset has for itself: "4, 16 or 64, by preset"."""
+    return f"{one_of(f'{getattr(preset, name):g}' for preset in PRESETS.values())}, by preset"
+
+
 BACKEND = "estimate by the edge service at this address, such as http://127.0.0.1:8550, instead of here; see xihe serve"
 BETWEEN = "light in use until the next estimate: carried, as the light in view changes (default), or kept as estimated"
 TRIGGER = (
@@ -145,8 +152,9 @@ LIGHT = (
 )
 OBJECTS = 'virtual objects, with quotes around a name that has a comma: "A, B"; default: all'
 NETWORK = f"{one_of(LINKS)}: estimates arrive late; default: at once"
+PRESET = f"{one_of(PRESETS)}: how much is rendered"
 PHONES = one_of([*profile_names(), "your own file"])
-SAMPLES = "samples of every capture; default: 4, 16 or 64, by preset"
+SAMPLES = f"samples of every capture; default: {by_preset('path_samples')}"
 SCENE = "scene with an animated camera"
 SIZE = "size of captured pictures; default: {0}x{1}, or {1}x{0} if the scene is upright".format(*DEFAULT_SIZE)
 UP = "axis of the recording's world that points up; default: the usual one of its format"

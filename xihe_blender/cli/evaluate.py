@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--estimators A,B", estimators, arguments.names, default=DEFAULT_ESTIMATORS)
     add("--profiles A,B", "phones: " + arguments.one_of([*profile_names(), "FILE.toml"]), arguments.names)
     add("--seeds N,M", "the room is rendered once for each seed; default: 0", arguments.whole_numbers, default=(0,))
-    add("--preset NAME", "draft (default), balanced or accurate: how much is rendered", default="draft")
+    add("--preset NAME", arguments.PRESET, default="draft")
     add("--frames A:B[:S]", "frames of each path; default: the scene's range and step", arguments.frame_range)
     add("--size WxH", arguments.SIZE, arguments.picture_size)
     add("--target", arguments.TARGET, choices=("ldr", "hdr"), default="hdr")

@@ -11,7 +11,7 @@ from xihe_blender.jobs import run_blocking
 from xihenet.trigger import RULES
 
 CAPTURED = "frames that are rendered: the whole path (default), or only those with a virtual object in view"
-NOISE_TARGET = "largest rendering noise, as a share of the light; default: 0.06, 0.03 or 0.015, by preset"
+NOISE_TARGET = "largest rendering noise, as a share of the light; default: " + arguments.by_preset("noise_target")
 AUTO = "; default: auto, sh+key+reflections where a virtual object is shiny, else sh+key"
 OTHERS = "other estimators whose light and pictures are compared with it, from the same frames; default: none"
 SAMPLES = "samples of every capture, and pictures of every light probe, whatever the noise"

@@ -25,9 +25,10 @@ from xihe_blender.jobs import Job, Progress, part_of, shown
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.plan import check_is_rendered, plan_previs
+from xihe_blender.previs.presets import PRESETS
 from xihe_blender.previs.run_time import FEW_SAMPLES, N_RENDERS, time_renders
 from xihe_blender.previs.sample_count import measure_captures, pilot_views, samples_taken
-from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
 from xihenet import estimators

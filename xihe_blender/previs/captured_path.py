@@ -37,9 +37,6 @@ from xihe_blender.previs.run_chain import run_chain
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.records import ArrayF64
 
-SAMPLES = {"draft": 4, "balanced": 16, "accurate": 64}
-"""Per pixel of a capture, by preset: there is no position yet that a pilot could measure the noise at."""
-
 
 @dataclass(frozen=True, eq=False)
 class CapturedPath:
@@ -72,7 +69,7 @@ def path_plan(scene: bpy.types.Scene, settings: PrevisSettings) -> tuple[PrevisS
     """`settings` with the samples of the preset, and the plan of the path alone. UserError as of `plan_previs`."""
     check_nothing_is_missing(scene)
     check_is_rendered(scene)
-    samples = settings.samples or SAMPLES[settings.preset]
+    samples = settings.samples or settings.preset_values.path_samples
     settings = replace(settings, captured="path", samples=samples, light="sh")
     frames = tuple(planned_frames(scene, settings.frames))
     return settings, PrevisPlan(frames, captured_size(scene, settings), (), ())

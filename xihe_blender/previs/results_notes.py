@@ -11,8 +11,9 @@ from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.apply.reflection_pictures import is_shiny
 from xihe_blender.io.run_results import Fault, FrameResult, ProbeResult, RecordingResult
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.presets import PRESETS
 from xihe_blender.previs.sample_count import SampleCount
-from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean, too_small_to_judge
 from xihe_blender.scene.colour_management import PLAIN_VIEWS

@@ -38,7 +38,8 @@ from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.jobs import Job, Progress, timed
 from xihe_blender.previs.plan import PrevisPlan
-from xihe_blender.previs.settings import Preset, PrevisSettings
+from xihe_blender.previs.presets import Preset
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey
 from xihenet.camera import unproject_frame
 from xihenet.camera_path.placement import evenly_chosen

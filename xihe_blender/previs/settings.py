@@ -1,11 +1,4 @@
-"""The settings of a previs run: what can a user choose, and what do the presets choose for them?
-
-Presets are points on the front of error against time (`xihe frontier`, docs/frontier.md). Their noise targets are what
-`living_room`, the noisiest of the example scenes, has with some 4, 16 and 64 samples per capture at 256x192. The others
-would reach them with 1, 2 and 8. In `courtyard`, where the denoiser errs more than the noise, these lie too close
-together: so balanced takes 4 samples at least and accurate 24. An estimate is off by some 30 % of the light, to which
-noise of 6, 3 and 1.5 % adds, in quadrature, 2 %, 0.5 % and 0.1 % of that.
-"""
+"""The settings of a previs run: what can a user choose, and what follows from it for each step?"""
 
 from __future__ import annotations
 
@@ -18,6 +11,8 @@ from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.errors import UserError
 from xihe_blender.light_transport.overrides import checked
+from xihe_blender.previs import presets
+from xihe_blender.previs.presets import PRESETS, Preset
 from xihenet import estimators
 from xihenet.controller import ControllerSettings
 from xihenet.edge.client import EdgeBackend, backend_at
@@ -30,36 +25,6 @@ from xihenet.trigger import RULES, TriggerSettings
 
 Captured = Literal["path", "in-view"]
 """Frames that a phone of a run takes in: the whole path, or those in which an estimation position is in view."""
-
-
-@dataclass(frozen=True)
-class Preset:
-    """How much rendering effort a run spends.
-
-    Parameters
-    ----------
-    noise_target : relative error of the nine SH coefficients that rendering may cause in captures
-    max_samples : Cycles samples per pixel for captures, at most; see `sample_count` for how many are taken
-    comparison_samples : Cycles samples per pixel, fixed; 32 at least, since the denoiser takes light of lamps that
-        mirrors and shiny things show for noise: with 8 a method's error came out too small, see docs/limits.md
-    probe_samples : pictures that the reference probe takes, at most; see `reference_probe`
-    comparison_step : compare at every n-th frame of the path, and at its last
-    min_samples : Cycles samples per pixel for captures, at least
-    """
-
-    noise_target: float
-    max_samples: int
-    probe_samples: int
-    comparison_samples: int
-    comparison_step: int = 1
-    min_samples: int = 1
-
-
-PRESETS = {
-    "draft": Preset(0.06, 32, 24, 32, comparison_step=2),
-    "balanced": Preset(0.03, 64, 56, 32, min_samples=4),
-    "accurate": Preset(0.015, 256, 168, 128, min_samples=24),
-}
 
 RULER_SHARE = 0.4
 """Noise of the reference over that of captures, at most; of 20 seeds one is 2.5 times as far off."""
@@ -105,7 +70,7 @@ class PrevisSettings:
 
     estimator: str = estimators.DEFAULT
     others: tuple[str, ...] = ()
-    preset: str = "balanced"
+    preset: str = presets.DEFAULT
     target: Target = "hdr"
     light: LightChoice = "auto"
     size: tuple[int, int] | None = None

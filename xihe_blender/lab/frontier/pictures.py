@@ -31,7 +31,8 @@ from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, Ren
 from xihe_blender.lab.frontier.rendering import RenderStudy, rendered, use_threads
 from xihe_blender.lab.frontier.timing import timed
 from xihe_blender.previs.compare_path import MOST_SEEN
-from xihe_blender.previs.settings import PRESETS, PREVIS_TRIGGER, PrevisSettings
+from xihe_blender.previs.presets import PRESETS
+from xihe_blender.previs.settings import PREVIS_TRIGGER, PrevisSettings
 from xihenet import estimators
 from xihenet.camera_path.placement import evenly_chosen
 from xihenet.light import LightParts

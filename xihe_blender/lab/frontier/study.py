@@ -49,8 +49,9 @@ from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.plan import PrevisPlan, check_is_rendered, plan_previs
+from xihe_blender.previs.presets import PRESETS
 from xihe_blender.previs.sample_count import measure_sample_count, pilot_views
-from xihe_blender.previs.settings import PRESETS, PrevisSettings
+from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
