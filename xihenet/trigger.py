@@ -27,9 +27,9 @@ Stateless: what happened before comes in as an argument. Paper: section 4.3.1; f
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -99,7 +99,7 @@ class TriggerSettings:
             raise ValueError(f"TriggerSettings.policy: expected one of {', '.join(policies)}, got {self.policy!r}")
         if not (isinstance(self.n_neighbours, int | np.integer) and self.n_neighbours >= 1):
             raise ValueError(f"TriggerSettings.n_neighbours: expected a whole number >= 1, got {self.n_neighbours}")
-        for name in ("theta", "coverage_theta", "hysteresis", "light_theta"):
+        for name in (*_thetas(), "hysteresis"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"TriggerSettings.{name}: expected a number >= 0, got {getattr(self, name)}")
         if self.hysteresis == float("inf"):  # Times a theta of 0 it would be NaN, above which nothing ever fires.
@@ -112,27 +112,62 @@ class TriggerSettings:
         if not 0 <= self.ignored_share < 1:
             raise ValueError(f"TriggerSettings.ignored_share: expected 0 to below 1, got {self.ignored_share}")
 
+    @property
+    def threshold(self) -> float:
+        """What the policy holds a change against; "split" has another for coverage."""
+        return self.light_theta if self.policy == "light" else self.theta
+
     def scaled(self, factor: float) -> TriggerSettings:
         """With all thresholds times `factor`, 0 or more; with 0 it fires at any change."""
-        coverage_theta = min(1.0, factor * self.coverage_theta)
-        return replace(
-            self, theta=factor * self.theta, coverage_theta=coverage_theta, light_theta=factor * self.light_theta
-        )
+        scaled: dict[str, Any] = {name: factor * getattr(self, name) for name in _thetas()}
+        return replace(self, **scaled | {"coverage_theta": min(1.0, scaled["coverage_theta"])})
+
+
+def _thetas() -> list[str]:
+    """Names of all thresholds."""
+    return [field.name for field in fields(TriggerSettings) if field.name.endswith("theta")]
 
 
 Rule = Literal["split", "light", "reference", "every-frame"]
 
-RULES: Mapping[Rule, TriggerSettings] = MappingProxyType(
+
+class NamedRule(NamedTuple):
+    """A rule as people choose it."""
+
+    label: str  # what the panel calls it
+    summary: str  # when light is estimated again, without a full stop
+    settings: TriggerSettings
+
+
+NAMED_RULES: Mapping[Rule, NamedRule] = MappingProxyType(
     {
-        "split": TriggerSettings(theta=0.001, ignored_share=0.25, coverage_theta=0.05),
-        "light": TriggerSettings(policy="light", light_theta=0.2),
-        "reference": TriggerSettings(policy="reference"),
-        "every-frame": TriggerSettings(theta=0.0, coverage_theta=0.0),
+        "split": NamedRule(
+            "It Changes",
+            "When surfaces change colour or new ones come into view",
+            TriggerSettings(theta=0.001, ignored_share=0.25, coverage_theta=0.05),
+        ),
+        "light": NamedRule(
+            "Light Differs",
+            "When the light of all that is known differs by a fifth",
+            TriggerSettings(policy="light", light_theta=0.2),
+        ),
+        "reference": NamedRule(
+            "As the Paper",
+            "By the paper's rule, which misses a lamp that dims",
+            TriggerSettings(policy="reference"),
+        ),
+        "every-frame": NamedRule(
+            "Every Frame",
+            "In each frame in which anything changed, at the highest cost",
+            TriggerSettings(theta=0.0, coverage_theta=0.0),
+        ),
     }
 )
 """What runs are told by name, their default first. With "every-frame" a frame in which nothing has changed makes none.
 
 The paper's theta of 0.6 sleeps through a lamp that changes; see docs/trigger.md for how these were chosen."""
+
+RULES: Mapping[Rule, TriggerSettings] = MappingProxyType({name: rule.settings for name, rule in NAMED_RULES.items()})
 
 
 def decide_trigger(
@@ -157,9 +192,9 @@ def decide_trigger(
     if previous is not None and len(previous) != len(current):
         raise ValueError(f"decide_trigger: the clouds have {len(previous)} and {len(current)} anchors")
     if not current.is_set.any():
-        return TriggerDecision(False, "none", 0.0, settings.theta)
+        return TriggerDecision(False, "none", 0.0, settings.threshold)
     if previous is None or not previous.is_set.any():
-        return TriggerDecision(True, "first", None, settings.theta, int(current.is_set.sum()))
+        return TriggerDecision(True, "first", None, settings.threshold, int(current.is_set.sum()))
     if settings.policy == "reference":
         return _decide_as_the_paper(previous, current, _windows(lattice, len(current), settings), settings.theta)
     if settings.policy == "light":

@@ -91,12 +91,12 @@ def test_the_lists_are_those_of_the_science():
             (choices.LIGHT_PARTS, get_args(LightChoice)),
             (choices.TARGETS, get_args(Target)),
             (choices.METERINGS, [choices.PHONES_METERING, *METERINGS]),
-            (choices.TRIGGERS, [choices.USUAL_TRIGGER, *RULES]),
         ):
             assert sorted(name for name, *_ in items) == sorted(names)
         for items, names in (
             (choices.estimator_items, estimators.names()),
             (choices.preset_items, list(PRESETS)),
+            (choices.trigger_items, [*RULES, choices.USUAL_TRIGGER]),
             (choices.phone_items, [*profile_names(), choices.FROM_FILE]),
             (choices.network_items, [choices.NO_NETWORK, *LINKS]),
         ):

@@ -18,6 +18,7 @@ from xihenet.captures.reading import READERS
 from xihenet.captures.replay import REPLAY_TRIGGER
 from xihenet.light.platforms import PLATFORMS
 from xihenet.phone import LINKS, PHONE_EFFECTS, profile_names
+from xihenet.trigger import RULES
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -207,6 +208,7 @@ def test_the_index_names_every_page_once():
     ("page", "names"),
     [
         ("previs.md", [*estimators.names(), *PRESETS]),
+        ("trigger.md", RULES),
         ("phone.md", [*profile_names(), *LINKS, *PHONE_EFFECTS]),
         ("platforms.md", PLATFORMS),
         ("results.md", METRICS),

@@ -3,7 +3,7 @@
 import itertools
 import re
 from html import escape
-from typing import get_args
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ import xihe_blender.report.page as report
 from addon_tests.pure import runs
 from xihe_blender.cli.previs import format_summary
 from xihe_blender.io.json_records import from_json
-from xihe_blender.io.run_results import METRICS, ComparedFrame, Metrics, RunResults
+from xihe_blender.io.run_results import METRICS, ComparedFrame, Metrics, ProbeResult, RunResults
 from xihe_blender.report import budget, tables
 from xihe_blender.report.document import SCRIPT, STYLE, document
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
@@ -26,6 +26,7 @@ from xihenet.records import TriggerReason
 def test_every_metric_is_a_column_and_every_reason_to_estimate_has_words():
     assert [name for name, _, _ in tables.METRICS] == list(METRICS)
     assert set(REASONS) == {*get_args(TriggerReason)} - {"none"}
+    assert get_type_hints(ProbeResult)["reason"] == TriggerReason
 
 
 def test_a_page_runs_no_script_but_its_own():

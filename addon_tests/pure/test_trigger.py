@@ -1,6 +1,7 @@
 """When the trigger fires, and what it says about it."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from addon_tests.pure.made import random_cloud, without_surfaces
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.records import AnchorSurfaces, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
-from xihenet.trigger import RULES, LastSeen, TriggerSettings, colour_change, decide_trigger
+from xihenet.trigger import RULES, LastSeen, Policy, Rule, TriggerSettings, colour_change, decide_trigger
 
 N = 320
 LATTICE = AnchorLattice(N)
@@ -190,6 +191,10 @@ def test_the_change_in_colour_is_what_the_decision_says(seed):
     before, after = random_cloud(rng, N, 0.9), random_cloud(rng, N, 0.9)
     settings_ = TriggerSettings(theta=1.0, ignored_share=0.25, coverage_theta=1.0)
     assert colour_change(before, after, LATTICE, settings_) == decide_trigger(before, after, LATTICE, settings_).change
+
+
+def test_every_policy_can_be_chosen_by_name():
+    assert {rule.policy for rule in RULES.values()} == {*get_args(Policy)} and {*RULES} == {*get_args(Rule)}
 
 
 @pytest.mark.parametrize("rule", RULES)

@@ -40,17 +40,6 @@ LIGHT_PARTS = (
     ),
 )
 USUAL_TRIGGER = "USUAL"
-TRIGGERS = (  # A saved file keeps the place of its choice in this list.
-    ("split", "It Changes", "When surfaces change colour, or new ones come into view"),
-    ("light", "Light Differs", "When the light of all that is known differs by a fifth from that at the last estimate"),
-    (
-        "reference",
-        "As the Paper",
-        "By the paper's rule, when any direction changes colour by much; it misses a lamp that dims",
-    ),
-    ("every-frame", "Every Frame", "In each frame in which anything changed: the freshest light, at the highest cost"),
-    (USUAL_TRIGGER, "As Usual", "As It Changes does; on a phone's recording, by the trigger that it was made with"),
-)
 PHONES_METERING = "PHONE"
 METERINGS = (
     (PHONES_METERING, "As the Phone", "Meter as the phone's profile says"),
@@ -99,6 +88,15 @@ def preset_items() -> list[Item]:
     from xihe_blender.previs.presets import PRESETS
 
     return [_item(name, preset.label, preset.summary, "NONE") for name, preset in PRESETS.items()]
+
+
+@_listed
+def trigger_items() -> list[Item]:
+    from xihenet.trigger import NAMED_RULES
+
+    usual = "As It Changes does; on a phone's recording, by the trigger that it was made with"
+    rules = [_item(name, rule.label, rule.summary, "NONE") for name, rule in NAMED_RULES.items()]
+    return [*rules, _item(USUAL_TRIGGER, "As Usual", usual, "NONE")]
 
 
 @_listed

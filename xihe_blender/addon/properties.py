@@ -220,9 +220,9 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
     trigger: bpy.props.EnumProperty(
         name="Estimate When",
         description="When the light is estimated again. Fewer estimates cost less; the light in use is then older",
-        items=choices.TRIGGERS,
+        items=choices.trigger_items,
         translation_context=OUR_WORDS,
-        default=choices.USUAL_TRIGGER,
+        default=choices.number_of(choices.USUAL_TRIGGER),
     )
     seed: bpy.props.IntProperty(
         name="Seed", description="Seed of all random numbers; the same seed gives the same results", min=0

@@ -19,6 +19,7 @@ from xihenet import estimators
 from xihenet.camera import DEFAULT_SIZE
 from xihenet.io.frame_files import BLENDER_FROM_UP
 from xihenet.phone import LINKS, profile_names
+from xihenet.trigger import NAMED_RULES
 
 MAX_FRAME = 1048574
 Position = tuple[float, float, float]
@@ -138,10 +139,8 @@ def by_preset(name: str) -> str:
 
 BACKEND = "estimate by the edge service at this address, such as http://127.0.0.1:8550, instead of here; see xihe serve"
 BETWEEN = "light in use until the next estimate: carried, as the light in view changes (default), or kept as estimated"
-TRIGGER = (
-    "when light is estimated again: split, when surfaces change colour or new ones come into view; light, when the "
-    "light of all that is known differs by a fifth; reference, by the paper's rule; every-frame, unless nothing has "
-    "changed"
+TRIGGER = "when light is estimated again: " + "; ".join(
+    f"{name}, {rule.summary[0].lower()}{rule.summary[1:]}" for name, rule in NAMED_RULES.items()
 )
 EFFECT = "simulate an effect or leave it out, whatever the scene needs; may be repeated, is not saved"
 ESTIMATORS = one_of(estimators.names())

@@ -274,7 +274,7 @@ def trigger_sweep(run: PreparedRun, chain: ChainResult) -> list[TriggerFigures]:
     return [
         TriggerFigures(
             factor=factor,
-            theta=trigger.light_theta if trigger.policy == "light" else trigger.theta,
+            theta=trigger.threshold,
             coverage_theta=trigger.coverage_theta,
             per_minute=estimates_per_minute(chain, fired),
             shc_rmse=statistics.fmean(errors),
