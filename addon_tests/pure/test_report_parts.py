@@ -14,7 +14,7 @@ from xihe_blender.cli.previs import format_summary
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.run_results import METRICS, ComparedFrame, Metrics, ProbeResult, RunResults
 from xihe_blender.report import budget, tables
-from xihe_blender.report.document import SCRIPT, STYLE, document
+from xihe_blender.report.document import SCRIPT, STYLE, document, table
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
 from xihe_blender.report.tables import numbers_section
 from xihe_blender.report.timeline import REASONS, Timeline
@@ -27,6 +27,12 @@ def test_every_metric_is_a_column_and_every_reason_to_estimate_has_words():
     assert [name for name, _, _ in tables.METRICS] == list(METRICS)
     assert set(REASONS) == {*get_args(TriggerReason)} - {"none"}
     assert get_type_hints(ProbeResult)["reason"] == TriggerReason
+
+
+def test_a_table_has_a_heading_for_every_cell_and_a_cell_for_every_heading():
+    for row in (["a", "1"], ["a", "1", "2", "3"]):
+        with pytest.raises(ValueError, match=r"longer|shorter"):
+            table(["name", "one", "two"], [row])
 
 
 def test_a_page_runs_no_script_but_its_own():

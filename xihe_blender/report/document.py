@@ -78,11 +78,15 @@ def png_url(content: bytes) -> str:
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: str = "") -> str:
     """A table that scrolls on its own where it is too wide; all cells are HTML, the first of a row is its heading.
 
-    Each cell carries its column's name, so that the style can stack wide tables on a narrow screen.
+    Each cell carries its column's name, so that the style can stack wide tables on a narrow screen. ValueError for a
+    row of more or fewer cells than the head.
     """
     names = [re.sub("<[^>]*>", " ", cell).strip() for cell in head]
     heads = "".join(f'<th scope="col">{cell}</th>' for cell in head)
-    body = "".join(f'<tr><th scope="row">{row[0]}</th>{"".join(map(_cell, names[1:], row[1:]))}</tr>' for row in rows)
+    cells = [[_cell(*pair) for pair in zip(names, row, strict=True)] for row in rows]
+    body = "".join(
+        f'<tr><th scope="row">{row[0]}</th>{"".join(of[1:])}</tr>' for row, of in zip(rows, cells, strict=True)
+    )
     return (
         f'<div class="scroll" tabindex="0"><table class="{classes}"><thead><tr>{heads}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
