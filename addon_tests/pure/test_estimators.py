@@ -12,6 +12,7 @@ import pytest
 
 from addon_tests.pure.made import constant, frame_of, random_cloud
 from xihenet import estimators
+from xihenet.backend import LocalBackend, estimate_light
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.edge.batching import Inference, unserved_because
 from xihenet.estimators import EstimateContext, Estimator
@@ -83,6 +84,17 @@ def test_an_unknown_name_is_refused_with_the_known_ones():
 def test_options_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ValueError, match="expected"):
         estimators.load("projection", **wrong)
+
+
+def test_light_of_another_order_is_a_mistake_and_not_light_that_could_not_be_known():
+    class OfOrder3(Estimator):
+        name = "of-order-3"
+
+        def _estimate(self, cloud, context):
+            return np.zeros((16, 3))
+
+    with pytest.raises(ValueError, match=r"of-order-3: expected coefficients of order 2, \(9, 3\), got \(16, 3\)"):
+        estimate_light(LocalBackend(OfOrder3(N)), constant_cloud(True), EstimateContext(), 1.0)
 
 
 @pytest.fixture

@@ -78,8 +78,9 @@ def estimator_items() -> list[Item]:
 @_listed
 def other_estimator_items() -> list[Item]:
     """Those that can be compared with the chosen one; a bit each, as several may be chosen."""
-    always = ("ambient", "truth")
-    items = [item for item in estimator_items(None, None) if item[0] not in always]
+    from xihenet.estimators import IN_EVERY_RUN
+
+    items = [item for item in estimator_items(None, None) if item[0] not in IN_EVERY_RUN]
     return [(*item[:3], "NONE", 1 << bit) for bit, item in enumerate(items)]
 
 

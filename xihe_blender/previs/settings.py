@@ -102,7 +102,8 @@ class PrevisSettings:
         ):
             if name is not None and name not in known:
                 raise UserError(f"there is no {kind} {name!r}: choose one of {', '.join(known)}")
-        kept = [name for name in dict.fromkeys(self.others) if name not in (self.estimator, "ambient", "truth")]
+        listed = (self.estimator, *estimators.IN_EVERY_RUN)
+        kept = [name for name in dict.fromkeys(self.others) if name not in listed]
         object.__setattr__(self, "others", tuple(kept))
         if self.size is not None and not all(4 <= side <= 8192 for side in self.size):
             raise UserError(

@@ -52,6 +52,9 @@ _OURS = {
     ),
 }
 DEFAULT = "lattice"
+IN_EVERY_RUN = ("ambient", "truth")
+"""Those that every run compares with its own: what a phone knows today, and the best that order 2 can do."""
+
 OUTSIDE = "xihe.estimators"
 """Group of the entry points by which other packages offer theirs."""
 

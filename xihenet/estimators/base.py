@@ -61,8 +61,8 @@ class Estimator(ABC):
         """(9, 3) radiance coefficients carrying the session's exposure.
 
         A cloud without a set anchor is legal; what it gives is the estimator's guess, finite in any case.
-        ValueError for another number of anchors or a missing part of the context; `NotFinite`, which is one, for a
-        result that is not finite.
+        ValueError for another number of anchors, a missing part of the context or a result of another shape;
+        `NotFinite`, which is one, for a result that is not finite.
         """
         self._check_size(cloud)
         return self._checked(self._estimate(cloud, context or EstimateContext()))
@@ -110,7 +110,9 @@ class Estimator(ABC):
 
     def _checked(self, sh_radiance: ArrayLike) -> ArrayF64:
         light = np.asarray(sh_radiance, np.float64)
-        if light.shape != (9, 3) or not np.isfinite(light).all():
+        if light.shape != (9, 3):
+            raise ValueError(f"{self.name}: expected coefficients of order 2, (9, 3), got {light.shape}")
+        if not np.isfinite(light).all():
             raise NotFinite(f"{self.name}: the estimate is not nine finite triples; refusing to pass it on")
         return light
 
