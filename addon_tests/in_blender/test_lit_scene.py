@@ -238,6 +238,8 @@ def test_the_panel_of_the_lit_file_has_the_runs_settings(ran, tmp_path, told, ot
         scene.xihe.effects.add()
         choose_as_run(scene, read_results(tmp_path))
         assert len(scene.xihe.effects) == 1, "the list of effects is of the same phone"
+    ever_told = {name.removeprefix("reference_") for settings, _ in TOLD.values() for name in settings}
+    assert set(chosen) <= ever_told, "a case of TOLD is missing, and perhaps a line of choose_as_run"
     run = read_results(tmp_path).settings
     at_first = {"trigger": "split", "metering": None, "light": "auto"}
     assert chosen == {name: getattr(run, name, None) for name in chosen} | at_first | otherwise

@@ -33,6 +33,9 @@ from xihenet.effects import Effect
 from xihenet.phone import load_profile, profile_names
 from xihenet.trigger import RULES, TriggerSettings
 
+AS_CHOSEN = ("estimator", "preset", "target", "seed")
+"""Choices of the panel that a run is told, and remembers, as they are and under the same name."""
+
 
 def run_and_show(scene: bpy.types.Scene, folder: Path, settings: PrevisSettings) -> Job[None]:
     """A run in this Blender: `previs` into `folder`, new and empty, then its results in the open file.
@@ -56,13 +59,10 @@ def previs_settings(scene: bpy.types.Scene) -> PrevisSettings:
 def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
     """What the panel chooses, by name, for `settings_of`; UserError for frames or a phone that cannot be."""
     chosen = scene.xihe
-    return {
-        "estimator": chosen.estimator,
+    return {name: getattr(chosen, name) for name in AS_CHOSEN} | {
         "backend": chosen.edge_server.strip() if chosen.uses_edge_server else None,
         "others": tuple(name for name in estimators.names() if name in chosen.others),
-        "preset": chosen.preset,
         "light": chosen.light,
-        "target": chosen.target,
         "size": tuple(chosen.size) if chosen.use_own_size else None,
         "frames": chosen_frames(scene),
         "captured": "path" if chosen.captures_path else "in-view",
@@ -70,7 +70,6 @@ def choices_of_run(scene: bpy.types.Scene) -> dict[str, Any]:
         "exposure": chosen.exposure if chosen.use_own_exposure else None,
         "metering": None if chosen.metering == PHONES_METERING else chosen.metering,
         "trigger": None if chosen.trigger == USUAL_TRIGGER else chosen.trigger,
-        "seed": chosen.seed,
         "phone": _phone(scene),
         "network": None if chosen.network == NO_NETWORK else chosen.network,
     }
@@ -88,11 +87,8 @@ def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
     is_known = made.phone in profile_names()
     is_phones = made.metering is None or (is_known and made.metering == load_profile(made.phone).metering)
     trigger = TriggerSettings(**made.trigger)  # type: ignore[arg-type]
-    choices = {
-        "estimator": made.estimator,
+    choices = {name: getattr(made, name) for name in AS_CHOSEN} | {
         "others": set(made.others) & {item[0] for item in other_estimator_items(None, None)},
-        "preset": made.preset,
-        "target": made.target,
         "light": "auto" if made.light == required_light(virtual_objects(scene)) else made.light,
         "uses_edge_server": made.backend is not None,
         "edge_server": made.backend or scene.xihe.edge_server,
@@ -111,7 +107,6 @@ def choose_as_run(scene: bpy.types.Scene, run: RunResults) -> None:
         "exposure": made.reference_exposure,
         "metering": PHONES_METERING if is_phones else made.metering,
         "trigger": next((name for name, rule in RULES.items() if rule == trigger), USUAL_TRIGGER),
-        "seed": made.seed,
     }
     for name, value in choices.items():
         # A phone that is chosen again would have the list of effects made anew.
