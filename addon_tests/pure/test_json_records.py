@@ -1,7 +1,9 @@
 """Records as JSON: written and read back as they were, refused by name, and described by a schema that is right."""
 
+import ast
 import json
-from dataclasses import dataclass, field
+from collections import defaultdict
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
+from xihe_blender.io import run_results
 from xihe_blender.io.json_records import ABSENT, INLINE, as_json, from_json, json_schema
 from xihe_blender.io.kept_files import kept_json, kept_or_made
 from xihe_blender.io.run_results import RunResults
@@ -150,6 +153,21 @@ def test_the_schema_in_the_docs_is_that_of_the_records_and_describes_every_field
     for name, record in {"": schema, **schema["$defs"]}.items():
         bare = [field for field, of_field in record["properties"].items() if "description" not in of_field]
         assert not bare, (name, bare)
+
+
+def test_a_run_fills_every_field_of_its_results():
+    """A field with a default, which older runs need, would stay at it unseen."""
+    filled = defaultdict(set)
+    folder = Path(run_results.__file__).parents[1]
+    for path in (path for room in ("previs", "compare", "io") for path in (folder / room).glob("*.py")):
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(call, ast.Call):
+                filled[ast.unparse(call.func).split(".")[-1]] |= {keyword.arg for keyword in call.keywords}
+    records = [kind for kind in vars(run_results).values() if is_dataclass(kind) and kind.__name__ in filled]
+    named = [kind for kind in records if None not in filled[kind.__name__]]  # not by a mapping of all fields
+    assert {"ProbeResult", "FrameResult", "Summary"} <= {kind.__name__ for kind in named}
+    names = {(kind.__name__, field.name) for kind in named for field in fields(kind) if field.name != "schema_version"}
+    assert [name for name in sorted(names) if name[1] not in filled[name[0]] | filled["replace"]] == []
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff\xfe", b"[" * 200_000, b'{"a":' * 200_000])

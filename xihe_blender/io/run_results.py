@@ -109,8 +109,8 @@ class RunSettings:
     size: Annotated[tuple[int, int], "of captures and comparisons, width and height"]
     frames: Annotated[tuple[int, ...], "of the path"]
     captured: Annotated[Literal["path", "in-view"], "which of them the phone took in"] = "in-view"
-    n_anchors: Annotated[int, "as in the command line"]
-    codec: Annotated[str, "as in the command line"]
+    n_anchors: Annotated[int, "directions in which light is gathered around a position"]
+    codec: Annotated[str, "format in which clouds are encoded"]
     seed: Annotated[int, "as in the command line"]
     phone: Annotated[str, "as in the command line"] = "perfect"
     network: Annotated[str | None, "as in the command line; None for none"] = None
