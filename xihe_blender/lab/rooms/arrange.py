@@ -40,7 +40,7 @@ class Floor(Shell):
             return False
         if piece.size[2] < FLAT_M:
             return True
-        return not (_blocks(piece, self._kept_free) or any(collide(piece, p, gap_m) for p in self.pieces))
+        return not (blocks_hole(piece, self._kept_free) or any(collide(piece, p, gap_m) for p in self.pieces))
 
     @cached_property
     def _kept_free(self) -> list[tuple[Rect, Hole]]:
@@ -118,11 +118,6 @@ def collide(one: Piece, other: Piece, gap_m: float = 0.0) -> bool:
     return is_same_height and one.footprint.overlaps(other.footprint, gap_m)
 
 
-def blocks_hole(piece: Piece, outline: Outline, holes: tuple[Hole, ...]) -> bool:
-    """Whether a piece stands where a door opens, or before a window that begins below its top."""
-    return _blocks(piece, zones(outline, holes))
-
-
 def zones(outline: Outline, holes: tuple[Hole, ...]) -> list[tuple[Rect, Hole]]:
     """What of the floor each hole needs."""
     reach_m = {True: DOOR_REACH_M, False: 0.3}
@@ -130,7 +125,8 @@ def zones(outline: Outline, holes: tuple[Hole, ...]) -> list[tuple[Rect, Hole]]:
     return list(zip(rects, holes, strict=True))
 
 
-def _blocks(piece: Piece, kept_free: list[tuple[Rect, Hole]]) -> bool:
+def blocks_hole(piece: Piece, kept_free: list[tuple[Rect, Hole]]) -> bool:
+    """Whether a piece stands where a door opens, or before a window that begins below its top, among `zones`."""
     return any(
         piece.footprint.overlaps(zone) and piece.top_m > hole.bottom - 0.02 and piece.z < hole.top
         for zone, hole in kept_free

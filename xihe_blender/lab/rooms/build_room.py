@@ -16,9 +16,8 @@ from mathutils import Vector as BlenderVector
 from xihe_blender.lab.props import Collection, Material, furniture, lighting, surfaces
 from xihe_blender.lab.props.room_shell import Opening, Span, Walls, add_door, add_skirting, add_window, wall_solid
 from xihe_blender.lab.props.shapes import Place, Solid, add_solid, ball, box, box_between, cylinder, joined, tube
-from xihe_blender.lab.rooms.materials import material_of
 from xihe_blender.lab.rooms.outline import Outline
-from xihe_blender.lab.rooms.place_pieces import place_piece
+from xihe_blender.lab.rooms.place_pieces import material_of, place_piece
 from xihe_blender.lab.rooms.room_data import Hole, Lamp, Room, Slope
 from xihe_blender.scene.colour_management import show_as_it_is
 
@@ -191,9 +190,7 @@ def _ceiling_light(place: Place, lamp: Lamp, shape: str, **sizes: float) -> bpy.
 
 def _uplight(place: Place, lamp: Lamp, metal: Material) -> None:
     """A bowl that hides the disk in it from below, so that the ceiling over it gives the light."""
-    bowl = cylinder(0.6 * lamp.size_m, 0.02).moved((lamp.x, lamp.y, lamp.z - 0.05))
-    add_solid(place.room, f"{place.name} bowl", bowl, metal, smooth=True)
-    light = _ceiling_light(place, lamp, "DISK")
+    light = _spot(place, lamp, metal, "bowl", 0.05)
     if light is not None:
         light.rotation_euler.x = math.pi
 
@@ -205,10 +202,12 @@ def _panel(place: Place, lamp: Lamp, metal: Material) -> None:
     _ceiling_light(place, lamp, "SQUARE")
 
 
-def _spot(place: Place, lamp: Lamp, metal: Material) -> None:
-    ring = cylinder(0.6 * lamp.size_m, 0.02).moved((lamp.x, lamp.y, lamp.z - 0.02))
-    add_solid(place.room, f"{place.name} ring", ring, metal, smooth=True)
-    _ceiling_light(place, lamp, "DISK")
+def _spot(
+    place: Place, lamp: Lamp, metal: Material, part: str = "ring", below_m: float = 0.02
+) -> bpy.types.Object | None:
+    ring = cylinder(0.6 * lamp.size_m, 0.02).moved((lamp.x, lamp.y, lamp.z - below_m))
+    add_solid(place.room, f"{place.name} {part}", ring, metal, smooth=True)
+    return _ceiling_light(place, lamp, "DISK")
 
 
 def _bare_bulb(place: Place, lamp: Lamp, metal: Material) -> None:

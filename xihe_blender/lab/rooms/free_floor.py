@@ -19,6 +19,7 @@ import numpy as np
 from xihe_blender.lab.rooms.arrange import FLAT_M
 from xihe_blender.lab.rooms.outline import Rect
 from xihe_blender.lab.rooms.room_data import Room
+from xihenet.openings import joined
 from xihenet.records import ArrayBool, ArrayF64, ArrayInt
 
 Cell = tuple[int, int]
@@ -126,20 +127,14 @@ def _is_walkable(room: Room, place: tuple[float, float], margin_m: float, blocke
 
 def _largest_part(is_free: ArrayBool) -> ArrayBool:
     """The largest set of free cells that touch at sides or corners; the first of equals."""
-    unseen: set[Cell] = set(map(tuple, np.argwhere(is_free).tolist()))
-    largest: list[Cell] = []
-    for seed in sorted(unseen):
-        if seed not in unseen:
-            continue
-        unseen.remove(seed)
-        part = [seed]
-        for row, column in part:  # grows while it is walked through
-            near = [(row + dy, column + dx) for dy, dx in NEIGHBOURS if (row + dy, column + dx) in unseen]
-            unseen.difference_update(near)
-            part += near
-        largest = max(largest, part, key=len)
+    n_free = np.count_nonzero(is_free)
+    number = np.full(np.add(is_free.shape, 2), -1)  # With a rim, so that each cell has all neighbours.
+    number[1:-1, 1:-1][is_free] = np.arange(n_free)
+    beside = np.stack([np.roll(number, step, (0, 1))[1:-1, 1:-1][is_free] for step in NEIGHBOURS])
+    near, cell = np.nonzero(beside >= 0)
+    part = joined(n_free, np.stack([cell, beside[near, cell]]))
     kept = np.zeros_like(is_free)
-    kept[tuple(np.array(largest, int).reshape(-1, 2).T)] = True
+    kept[is_free] = part == np.bincount(part, minlength=1).argmax()
     return kept
 
 

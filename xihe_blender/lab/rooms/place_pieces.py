@@ -1,4 +1,4 @@
-"""Pieces as objects: one function per kind, over the project's own furniture.
+"""Pieces as objects, and finishes as materials: one function per kind, over the project's own furniture and surfaces.
 
 A lamp's body and light are made with the lamps: its piece only keeps the place.
 """
@@ -15,8 +15,7 @@ from xihe_blender.lab.props import Collection, Material, furniture, surfaces
 from xihe_blender.lab.props.shapes import Place, ball, box, box_between, cylinder, joined, revolved
 from xihe_blender.lab.rooms.arrange import local_point
 from xihe_blender.lab.rooms.draws import span
-from xihe_blender.lab.rooms.materials import material_of
-from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Piece
+from xihe_blender.lab.rooms.room_data import LAMP_KINDS, Finish, Piece
 
 Maker: TypeAlias = Callable[[Place, Piece, list[Material]], None]
 BOXES = {"cupboard": 0.004, "mirror": 0.0, "rug": 0.0, "crate": 0.008, "pillar": 0.0, "box": 0.003, "partition": 0.0}
@@ -157,3 +156,38 @@ MAKERS: dict[str, Maker] = {
     "post": lambda place, piece, m: place.add(cylinder(piece.size[0] / 2, piece.size[2]), m[0], smooth=True),
     **dict.fromkeys(BOXES, _box), **dict.fromkeys(TURNED, _turned),
 }  # fmt: skip
+
+FINISHES: dict[str, Callable[[str, Finish], Material]] = {
+    "plain": lambda name, f: surfaces.plain(name, f.colour, roughness=f.roughness),
+    "metal": lambda name, f: surfaces.plain(name, f.colour, roughness=f.roughness, metallic=1.0),
+    "leather": lambda name, f: surfaces.plain(name, f.colour, roughness=f.roughness),
+    "paint": lambda name, f: surfaces.paint(name, f.colour, roughness=f.roughness),
+    "wood": lambda name, f: surfaces.wood(name, f.colour, f.second, roughness=f.roughness),
+    "fabric": lambda name, f: surfaces.fabric(name, f.colour, weave_per_m=max(f.scale, 40.0)),
+    "carpet": lambda name, f: surfaces.carpet(name, f.colour, f.second, surfaces.shade(f.second, 1.6)),
+    "foliage": lambda name, f: surfaces.foliage(name, f.colour, f.second),
+    "painting": lambda name, f: surfaces.painting(
+        name, [(0.3, f.colour), (0.5, f.second), (0.7, surfaces.shade(f.colour, 1.8))]
+    ),
+    "patches": lambda name, f: surfaces.patches(name, f.colour, f.second, size_m=f.scale, roughness=f.roughness),
+    "glass": lambda name, f: surfaces.plain(name, f.colour, roughness=f.roughness, transmission_weight=1.0),
+    "planks": lambda name, f: surfaces.planks(name, f.colour, f.second, width_m=f.scale),
+    "tiles": lambda name, f: _tiled(name, f, upright=False),
+    "wall tiles": lambda name, f: _tiled(name, f, upright=True),
+    "brick": lambda name, f: surfaces.masonry(
+        name, (f.colour, f.second, (0.5, 0.48, 0.45)), (0.24, 0.075), upright=True
+    ),
+}
+
+
+def material_of(name: str, finish: Finish) -> Material:
+    """A new material. KeyError for a kind of finish that nobody makes."""
+    return FINISHES[finish.kind](name, finish)
+
+
+def _tiled(name: str, finish: Finish, *, upright: bool) -> Material:
+    tones = (finish.colour, finish.second, surfaces.shade(finish.colour, 0.5))
+    side = finish.scale
+    return surfaces.masonry(
+        name, tones, (side, side), joint_m=0.006, upright=upright, offset=0.0, roughness=finish.roughness
+    )

@@ -20,14 +20,12 @@ from xihe_blender.lab.rooms.outline import Outline, Point, alcove_plan, box_plan
 from xihe_blender.lab.rooms.room_data import Hole, Room, Shell, Slope
 from xihenet.training.rooms import split_of
 
-KIND_SHARES = {
-    "living": 0.25, "bedroom": 0.18, "dining": 0.12, "study": 0.1, "kitchen": 0.12, "bathroom": 0.07, "office": 0.09,
-    "hall": 0.07,
+KINDS = {
+    "living": (0.25, 3.2, 7.5), "bedroom": (0.18, 2.8, 5.0), "dining": (0.12, 3.0, 6.0), "study": (0.1, 2.4, 4.5),
+    "kitchen": (0.12, 2.4, 5.0), "bathroom": (0.07, 2.0, 3.4), "office": (0.09, 3.5, 8.0), "hall": (0.07, 2.0, 6.0),
 }  # fmt: skip
-KIND_SIZES = {
-    "living": (3.2, 7.5), "bedroom": (2.8, 5.0), "dining": (3.0, 6.0), "study": (2.4, 4.5),
-    "kitchen": (2.4, 5.0), "bathroom": (2.0, 3.4), "office": (3.5, 8.0), "hall": (2.0, 6.0),
-}  # fmt: skip
+"""Of each kind its share of the rooms, and the least and the largest width and length."""
+
 CORNER_M, DOOR_TOP_M = 0.12, 2.02
 EXPOSURE_GAIN, EXPOSURE_SPREAD = 1.35, 0.12
 """Median of what a phone gives more light than our metering, which takes the low end of the meters' range, and the
@@ -61,7 +59,7 @@ def _is_chosen(seed: int, index: int, share: float, key: int) -> bool:
 
 def sample_room(rng: Rng, *, by_day: bool = False) -> Room:
     """A room of a home or an office; `by_day` has its lamps off and no dark hour, if it has windows."""
-    kind = str(rng.choice(list(KIND_SHARES), p=list(KIND_SHARES.values())))
+    kind = str(rng.choice(list(KINDS), p=[share for share, _, _ in KINDS.values()]))
     shell = sample_shell(rng, kind)
     floor = Floor(**vars(shell))
     furnish(rng, floor, kind)
@@ -97,7 +95,7 @@ def sample_exposure_gain(rng: Rng) -> float:
 
 def sample_shell(rng: Rng, kind: str) -> Shell:
     """Plan and height, then slopes, then openings."""
-    least, largest = KIND_SIZES[kind]
+    _, least, largest = KINDS[kind]
     outline = sample_outline(rng, (least, least), (largest, largest))
     is_tall = rng.random() < 0.15
     height = span(rng, 2.8, 3.6) if is_tall else span(rng, 2.25, 2.8)
