@@ -61,14 +61,17 @@ def _lead(results: Sequence[StudyResult]) -> str:
 
 
 def _how(results: Sequence[StudyResult], command: str) -> str:
-    days = sorted({one.measured_on for one in results})
-    machines = sorted({one.machine for one in results})
     seconds = format_duration(sum(one.elapsed_s for one in results))
     return (
-        f"<p>Measured on {format_list(days)} on {escape(format_list(machines))}, in {seconds} without recording. "
+        f"<p>{escape(_when_and_where(results))}, in {seconds} without recording. "
         "The paper: Xihe, a 3D vision-based lighting estimation framework for mobile augmented reality, Zhao and Guo, "
         f"MobiSys 2021. {FEW_ROOMS} {ALIKE}</p><pre>{escape(command)}</pre>"
     )
+
+
+def _when_and_where(results: Sequence[StudyResult]) -> str:
+    days, machines = (sorted({getattr(one, name) for one in results}) for name in ("measured_on", "machine"))
+    return f"Measured on {format_list(days)} on {format_list(machines)}"
 
 
 def _section(study: Study, result: StudyResult, pictures: Path) -> str:
@@ -160,13 +163,8 @@ def _markdown_lines(
         "",
     )
     yield from ("```sh", command, "```", "")
-    days = sorted({one.measured_on for one in results.values()})
-    machines = sorted({one.machine for one in results.values()})
-    yield from (
-        f"That command makes this page; `--only NAME` measures one study. Measured on {format_list(days)} on "
-        f"{format_list(machines)}.",
-        "",
-    )
+    when_and_where = _when_and_where(list(results.values()))
+    yield from (f"That command makes this page; `--only NAME` measures one study. {when_and_where}.", "")
     yield from (
         "Brackets hold the 95 % interval, by bootstrap over cases, or over rooms where cases of a room are alike, "
         f"and the paper's figure. {FEW_ROOMS} {ALIKE} Above a table, in italics, is what all of its figures share: "

@@ -10,7 +10,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_picture
 from xihe_blender.lab.paper.clouds import walked, with_truth
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, of_rooms
-from xihe_blender.lab.paper.studies.probes import inside_rim
+from xihe_blender.lab.paper.studies.probes import spheres_error
 from xihenet import estimators
 from xihenet.colour import linear_to_srgb
 from xihenet.records import ArrayF32, ArrayF64
@@ -41,7 +41,8 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         truths = pictures.pop("room")
         rooms += [session.name] * len(truths)
         for light, seen in pictures.items():
-            errors[light] += [_errors(one, truth) for one, truth in zip(seen, truths, strict=True)]
+            for one, truth in zip(seen, truths, strict=True):
+                errors[light].append([spheres_error(*pair) for pair in zip(one, truth, strict=True)])
     if len(rooms) < 2:
         raise UserError("fewer than two places in rooms with a .blend file: give more --scenes")
     for light, each in errors.items():
@@ -93,12 +94,6 @@ def _pictures(session: Session, n: int, options: StudyOptions) -> dict[str, list
 def _cells(row: ArrayF32) -> ArrayF64:
     """(G, S, S, 3) sRGB of spheres side by side."""
     return np.asarray(linear_to_srgb(np.stack(np.split(row.clip(0, 1), len(GRID), axis=1))))
-
-
-def _errors(seen: ArrayF64, truth: ArrayF64) -> list[float]:
-    """(G,) root mean squares over the pixels of the sphere."""
-    mask = inside_rim(SIZE)
-    return [float(np.sqrt(np.mean((a - b)[mask] ** 2))) for a, b in zip(seen, truth, strict=True)]
 
 
 def _sheet(cells: ArrayF64) -> ArrayF64:

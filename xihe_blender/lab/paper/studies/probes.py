@@ -49,8 +49,9 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
         for view, lights in found:
             for method, light in lights.items():
                 errors[method].append(shc_rmse(light, view.place.true_ldr))
+            truth = path_traced(view)
             for method, light in (lights | {TRUE: view.place.true_ldr}).items():
-                pictures[method].append(picture_error(light, view))
+                pictures[method].append(spheres_error(shown(light, len(truth)), truth))
         if found:
             write_picture(options.folder / f"{session.name}.png", _strip(*found[0]))
     if len(rooms) < 2:
@@ -113,11 +114,10 @@ def path_traced(view: View) -> ArrayF64:
     return np.asarray(linear_to_srgb(view.place.spheres.clip(0, 1)))
 
 
-def picture_error(light: ArrayF64, view: View) -> float:
-    """Root mean square over the pixels of the spheres."""
-    truth = path_traced(view)
-    mask = np.tile(inside_rim(len(truth)), (1, 3))
-    return float(np.sqrt(np.mean((shown(light, len(truth)) - truth)[mask] ** 2)))
+def spheres_error(seen: ArrayF64, truth: ArrayF64) -> float:
+    """Root mean square over the pixels of spheres side by side (S, N S, 3)."""
+    mask = np.tile(inside_rim(len(truth)), (1, truth.shape[1] // len(truth)))
+    return float(np.sqrt(np.mean((seen - truth)[mask] ** 2)))
 
 
 def inside_rim(size: int) -> ArrayBool:
