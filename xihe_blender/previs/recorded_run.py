@@ -31,9 +31,8 @@ from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.sample_count import SampleCount
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.simulated_phone import choose_phone
-from xihe_blender.previs.survey import SceneSurvey
+from xihe_blender.previs.survey import SceneSurvey, names_seen
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
-from xihenet.camera import in_view
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.replay import REPLAY_TRIGGER
 from xihenet.effects import plan_effects
@@ -152,9 +151,8 @@ def seen_by_phone(survey: SceneSurvey, plan: PrevisPlan, frames: Mapping[int, Ca
     """
     seen: dict[int, set[str]] = {}
     for number, one in frames.items():
-        places_m = np.array([probe.at(number) for probe in plan.probes]).reshape(-1, 3)
-        are_seen = in_view(places_m, one.camera.intrinsics, one.camera.world_from_camera)
-        seen[number] = {probe.name for probe, is_seen in zip(plan.probes, are_seen, strict=True) if is_seen}
+        places_m = {probe.name: probe.at(number) for probe in plan.probes}
+        seen[number] = set(names_seen(places_m, one.camera.intrinsics, one.camera.world_from_camera))
     never = {probe.name for probe in plan.probes}.difference(*seen.values())
     return replace(
         survey,

@@ -187,12 +187,16 @@ def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
         or item.holdout_get(view_layer=layer) or item.indirect_only_get(view_layer=layer)
     ]  # fmt: skip
     if unseen:
-        more = f" and {len(unseen) - 1} more" if len(unseen) > 1 else ""
         said = (
-            f"{unseen[0]!r}{more}: the phone does not see what is a holdout, a shadow catcher or indirect only, "
+            f"{_named(unseen)}: the phone does not see what is a holdout, a shadow catcher or indirect only, "
             "but light comes from there. Switch that off in Object Properties > Visibility, or in the outliner."
         )
         yield Fault(name=unseen[0], n=len(unseen), said=said)
+
+
+def _named(names: list[str]) -> str:
+    """ "'Vase' and 2 more"."""
+    return repr(names[0]) + (f" and {len(names) - 1} more" if len(names) > 1 else "")
 
 
 def layer_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
@@ -204,9 +208,9 @@ def layer_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
     for layer in [layer for layer in others if layer.use]:
         alone = [item.name for item in dict.fromkeys(seen_in(layer.layer_collection)) if item not in known]
         if alone:
-            are = f" and {len(alone) - 1} more are" if len(alone) > 1 else " is"
+            they_are = f"{_named(alone)} {'is' if len(alone) == 1 else 'are'}"
             said = (
-                f"{alone[0]!r}{are} in view layer {layer.name!r}, but a run renders the first one alone, "
+                f"{they_are} in view layer {layer.name!r}, but a run renders the first one alone, "
                 f"{first.name!r}. Tick the collection there in the Outliner."
             )
             yield Fault(name=alone[0], n=len(alone), said=said)
@@ -220,9 +224,8 @@ def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
         bodies = [item for item in world.collection.objects if item.rigid_body is not None]
         loose += [item.name for item in bodies if item.rigid_body.type == "ACTIVE" and not item.rigid_body.kinematic]
     if loose:
-        more = f" and {len(loose) - 1} more" if len(loose) > 1 else ""
         said = (
-            f"The physics of {loose[0]!r}{more} is not baked: Blender works out each frame from the one before, and a "
+            f"The physics of {_named(loose)} is not baked: Blender works out each frame from the one before, and a "
             "run leaves frames out, so that it may be elsewhere than in your own renders. Bake it (Cache > Bake, or "
             "Simulation Nodes > Bake; a fluid first needs another Type than Replay)."
         )

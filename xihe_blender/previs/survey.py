@@ -26,7 +26,6 @@ from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.plan import required_by_survey
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
 from xihe_blender.light_transport.transport_survey import TransportSurveyor
-from xihe_blender.previs.movement import MovementSurvey
 from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.scene_faults import (
     faults_at_frame,
@@ -37,9 +36,11 @@ from xihe_blender.previs.scene_faults import (
     unseen_faults,
 )
 from xihe_blender.scene import shader_nodes
+from xihe_blender.scene.estimation_positions import box_corners_m
 from xihe_blender.scene.units import seconds_of
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
 from xihenet.camera import in_view
+from xihenet.controller import MOVED_M
 from xihenet.effects import Requirement
 from xihenet.phone import CameraMotion, motion_between
 from xihenet.records import ArrayF64, Intrinsics
@@ -146,7 +147,7 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> Job[SceneSurvey]:
             frame,
             views[frame].time_s,
             movement.moved[frame],
-            _in_view({p.name: p.at(frame) for p in probes}, views[frame].intrinsics, views[frame].world_from_camera),
+            names_seen({p.name: p.at(frame) for p in probes}, views[frame].intrinsics, views[frame].world_from_camera),
             _camera_motion(frame, views),
             states.states[frame],
             room.roughness[frame],
@@ -163,7 +164,7 @@ def may_see_a_position(scene: bpy.types.Scene, plan: PrevisPlan, within_s: float
     """
     # Where the plan puts them is where they are in that frame.
     places_m = {probe.name: probe.position_m for probe in plan.probes}
-    if plan.first_view is not None and _in_view(places_m, *plan.first_view):
+    if plan.first_view is not None and names_seen(places_m, *plan.first_view):
         return True
     until_s, movement = time.perf_counter() + within_s, MovementSurvey(plan)
     settings, looking = RenderSettings(plan.size, samples=1), Progress(0, 1, "looking at the camera path")
@@ -174,7 +175,7 @@ def may_see_a_position(scene: bpy.types.Scene, plan: PrevisPlan, within_s: float
             view = phone_camera(working)
             yield looking
             inspection.look_at(frame, movement.look_at)
-            if _in_view(movement.places, *view) or time.perf_counter() > until_s:
+            if names_seen(movement.places, *view) or time.perf_counter() > until_s:
                 return True
             yield looking
     return False
@@ -185,7 +186,10 @@ def _followed(probe: Probe, moved: Mapping[int, Mapping[str, tuple[float, ...]]]
     return replace(probe, moved_m=places)
 
 
-def _in_view(places_m: Mapping[str, ArrayF64], intrinsics: Intrinsics, world_from_camera: ArrayF64) -> tuple[str, ...]:
+def names_seen(
+    places_m: Mapping[str, ArrayF64], intrinsics: Intrinsics, world_from_camera: ArrayF64
+) -> tuple[str, ...]:
+    """Of positions (3,) by name, those that the camera sees."""
     positions_m = np.array(list(places_m.values())).reshape(-1, 3)
     seen = in_view(positions_m, intrinsics, world_from_camera)
     return tuple(name for name, is_seen in zip(places_m, seen, strict=True) if is_seen)
@@ -270,3 +274,55 @@ def _roughness_and_glow(material: bpy.types.Material) -> tuple[float | None, boo
 
 def _may_change(block: bpy.types.ID) -> bool:
     return is_animated(block) or shows_a_film(block.node_tree)
+
+
+class MovementSurvey:
+    """Gathers the places of the estimation positions of `plan`, one evaluated frame after the other.
+
+    They keep their share of the object's box, which turns as the object does: so an object that moves by keys, parents,
+    constraints, bones or physics takes them with it, and one that spins or breathes hardly does. Rejected: splitting
+    the box anew at each frame, which for a long shelf that turns gives other positions, and another number of them.
+
+    `moved` has those that are not where the plan has them, by frame. One stays where it was until it is further than
+    MOVED_M from there, and in frames in which its object is nowhere.
+    """
+
+    def __init__(self, plan: PrevisPlan) -> None:
+        self.plan = plan
+        self.places = {probe.name: probe.position_m for probe in plan.probes}
+        self.first: dict[str, tuple[ArrayF64, ArrayF64]] = {}
+        """By object: its axes (3, 3) in the first frame, and which share of its box (K, 3) the positions have."""
+        self.moved: dict[int, dict[str, tuple[float, ...]]] = {}
+
+    def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        for item in self.plan.objects:
+            probes, axes = self.plan.probes_of(item.name), _axes(item.evaluated_get(depsgraph))
+            if item.name not in self.first:
+                low_m, size_m = _box(item, depsgraph, np.eye(3))
+                within_m = np.stack([probe.position_m for probe in probes]) - low_m
+                # Outside of the box is one that the plan, which does not look as renders do, has found elsewhere.
+                is_known = (size_m > MOVED_M) & (within_m > 0) & (within_m < size_m)
+                self.first[item.name] = axes, np.where(is_known, within_m / np.where(is_known, size_m, 1), 0.5)
+            first_axes, shares = self.first[item.name]
+            turn = axes @ first_axes.T
+            low_m, size_m = _box(item, depsgraph, turn)
+            for probe, place in zip(probes, (low_m + shares * size_m) @ turn.T, strict=True):
+                if np.linalg.norm(place - self.places[probe.name]) > MOVED_M:
+                    self.places[probe.name] = place
+        self.moved[depsgraph.scene.frame_current] = {
+            probe.name: tuple(self.places[probe.name].tolist())
+            for probe in self.plan.probes
+            if self.places[probe.name] is not probe.position_m
+        }
+
+
+def _axes(item: bpy.types.Object) -> ArrayF64:
+    """(3, 3) a rotation, whatever the scale."""
+    return np.array(item.matrix_world.to_quaternion().normalized().to_matrix(), np.float64)
+
+
+def _box(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph, axes: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
+    """(3,) the low corner and the size of the object's box along the columns of `axes`, in metres."""
+    corners_m = box_corners_m(item, depsgraph) @ axes
+    low_m: ArrayF64 = corners_m.min(axis=0)
+    return low_m, corners_m.max(axis=0) - low_m

@@ -23,7 +23,7 @@ from typing import Annotated, Literal
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import FolderManifest, absolute_pattern, contents_sha256
 from xihe_blender.io.json_records import Json, Plain, as_json, from_json, json_schema
-from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.io.run_results import Metrics
 from xihe_blender.lab.batch.grid import FORMAT_VERSION, BatchSettings, Unit, short_names
@@ -210,7 +210,7 @@ def result_file(unit_folder: Path) -> Path:
 
 def read_result(unit_folder: Path, scene: Path) -> UnitResult | None:
     """What a unit of `scene` came to; None if it is not done or damaged, or if what that reads is not what it was."""
-    found = kept_json(result_file(unit_folder), lambda content: from_json(UnitResult, content))
+    found = kept_record(UnitResult, result_file(unit_folder))
     patterns = [] if found is None else [absolute_pattern(one, scene.parent) for one in found.read.patterns]
     is_current = found is not None and contents_sha256(patterns) == found.read.sha256
     return found if is_current else None

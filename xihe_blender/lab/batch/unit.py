@@ -32,8 +32,8 @@ import numpy as np
 
 from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure
 from xihe_blender.io.folder_manifest import contents_sha256
-from xihe_blender.io.json_records import as_json, from_json
-from xihe_blender.io.kept_files import kept_json
+from xihe_blender.io.json_records import as_json
+from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.io.run_results import METRICS, FrameResult, Metrics, ProbeResult
 from xihe_blender.jobs import Job, run_blocking
@@ -117,7 +117,7 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
 def _begun_with(outputs: RunOutputs) -> FilesRead:
     """What the open file reads from others; renders that a stopped unit made from anything else go."""
     read = FilesRead(patterns=tuple(files_named()), sha256=contents_sha256(files_read()))
-    if kept_json(outputs.settings, functools.partial(from_json, FilesRead)) != read:
+    if kept_record(FilesRead, outputs.settings) != read:
         shutil.rmtree(outputs.folder, ignore_errors=True)
     return read
 
@@ -167,8 +167,8 @@ def compare_unit(
         frame: {str(k): chains[k].lights[frame][runs[k].settings.estimator] for k in trials[frame]} for frame in frames
     }
     sources = comparison_sources(first, lights)
-    read = functools.partial(from_json, ComparedTrials)
-    kept = {frame: kept_json(first.outputs.compared(frame), read) for frame in frames if sources[frame] == frame}
+    own = [frame for frame in frames if sources[frame] == frame]
+    kept = {frame: kept_record(ComparedTrials, first.outputs.compared(frame)) for frame in own}
     missing = [frame for frame, content in kept.items() if content is None]
     by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
     pixels: dict[int, float | None] = {}
