@@ -106,7 +106,7 @@ class Comparison:
     """Pictures of one frame, (H, W, 3) linear at the session's exposure: path-traced, and by method.
 
     `weights` (H, W) are the share of each pixel that virtual objects cover, 0 to 1, and `ring` (H, W) which pixels are
-    around them; Cycles took `render_s` for all.
+    around them; Cycles took `render_s` for all. `surfaces` are those that may catch shadows, by object.
     """
 
     ground_truth: ArrayF64
@@ -114,6 +114,7 @@ class Comparison:
     weights: ArrayF64
     ring: ArrayBool
     render_s: float
+    surfaces: Mapping[str, Sequence[Surface]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +193,7 @@ class Comparer:
         """
         methods, weights, render_s = self.render_over(captured, lights, surfaces)
         exposed = truth.radiance.astype(np.float64) * captured.exposure
-        return Comparison(exposed, methods, weights, ring_around(weights), truth.render_s + render_s)
+        return Comparison(exposed, methods, weights, ring_around(weights), truth.render_s + render_s, surfaces)
 
     def render_over(
         self,

@@ -7,10 +7,11 @@ run kept it, taken over from an earlier frame where scene, camera, capture and l
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from xihe_blender.previs.run_chain import ChainResult, Lights
 from xihenet.camera_path.placement import evenly_chosen
 from xihenet.camera_path.surfaces import Surface
 from xihenet.io.recording import load_frame
+from xihenet.records import ObjectLight
 
 OBJECTS = "objects"
 """Beside the radiance of each method: the share of each pixel that objects cover, by which metrics weigh."""
@@ -36,19 +38,55 @@ OBJECTS = "objects"
 MOST_SEEN = 12
 """Captures in which surfaces are looked for, evenly spread: more show no more of a table."""
 
+Compared = TypeVar("Compared")
+
 
 def compare_path(run: PreparedRun, chain: ChainResult) -> Job[dict[int, ComparedFrame]]:
     """A job: the comparison of each compared frame, by its number; pictures are written on the way."""
-    outputs, active = run.outputs, [frame.frame for frame in chain.frames if frame.active]
+    active = [frame.frame for frame in chain.frames if frame.active]
     frames = compared_frames(active, run.settings.preset_values.comparison_step)
-    sources = comparison_sources(run, {frame: chain.lights[frame] for frame in frames})
-    kept = {frame: kept_comparison(outputs, frame) for frame in frames}
-    missing = [frame for frame in frames if kept[frame] is None]
-    yield from _render_missing(run, chain, [frame for frame in missing if sources[frame] == frame])
-    for frame in missing:
+    read, record = functools.partial(kept_comparison, run.outputs), functools.partial(_record_frame, run)
+    lights = {frame: chain.lights[frame] for frame in frames}
+    compared, sources = yield from compare_frames(run, run.methods, lights, read, record)
+    for frame in frames:
         if sources[frame] != frame:
-            _take_over(outputs, sources[frame], frame)
-    return {frame: kept[frame] or read_record(ComparedFrame, outputs.compared(frame)) for frame in frames}
+            compared[frame] = read(frame) or _take_over(run.outputs, sources[frame], frame)
+    return compared
+
+
+def compare_frames(
+    run: PreparedRun,
+    names: Sequence[str],
+    lights: Mapping[int, Lights],
+    read: Callable[[int], Compared | None],
+    record: Callable[[int, Comparison, Mapping[int, Compared]], Compared],
+) -> Job[tuple[dict[int, Compared], dict[int, int]]]:
+    """A job: the comparison of each frame of `lights` that is not the same as an earlier one, and which one that is.
+
+    What `read` does not find is rendered, with all methods `names`, and what `record` makes of it, and of what is kept
+    of others, is kept. A method without a light stays dark.
+    """
+    first: dict[tuple[Any, ...], int] = {}
+    sources = {frame: first.setdefault(_made_from(run, frame, own), frame) for frame, own in lights.items()}
+    own = [frame for frame, source in sources.items() if source == frame]
+    done = {frame: one for frame in own if (one := read(frame)) is not None}
+    missing = [frame for frame in own if frame not in done]
+    if not missing:
+        return done, sources
+    dark = {item.name: ObjectLight(np.zeros((9, 3))) for item in run.plan.objects}
+    # All ground truths, then all methods, so that Cycles builds each of the two scenes once.
+    with run.open_comparer(names) as comparer:
+        yield from _render_ground_truths(run, missing, comparer)
+        for number, frame in enumerate(missing):
+            yield run.progress("methods", number / len(missing), f"comparing frame {frame}")
+            kept, truth = run.outputs.compared(frame), methods.load_ground_truth(run.outputs.ground_truth(frame))
+            captured, surfaces = load_frame(run.outputs.capture(frame)), surfaces_known(run, frame, comparer)
+            of_all = {name: lights[frame].get(name, dark) for name in names}
+            one = record(frame, comparer.render_methods(captured, of_all, truth, surfaces), done)
+            write_json(kept, as_json(one))
+            run.outputs.ground_truth(frame).unlink()
+            done[frame] = read_record(type(one), kept)
+    return done, sources
 
 
 def kept_comparison(outputs: RunOutputs, frame: int) -> ComparedFrame | None:
@@ -61,18 +99,7 @@ def _radiance(outputs: RunOutputs, compared: ComparedFrame, frame: int) -> list[
     return [outputs.radiance(name, frame) for name in ("ground_truth", OBJECTS, *compared.comparison)]
 
 
-def _render_missing(run: PreparedRun, chain: ChainResult, missing: Sequence[int]) -> Iterator[Progress]:
-    """All ground truths, then all methods, so that Cycles builds each of the two scenes once."""
-    if not missing:
-        return
-    with run.open_comparer(run.methods) as comparer:
-        yield from render_ground_truths(run, missing, comparer)
-        for done, frame in enumerate(missing):
-            yield run.progress("methods", done / len(missing), f"comparing frame {frame}")
-            _compare_frame(run, frame, chain.lights[frame], comparer)
-
-
-def render_ground_truths(run: PreparedRun, frames: Sequence[int], comparer: Comparer) -> Iterator[Progress]:
+def _render_ground_truths(run: PreparedRun, frames: Sequence[int], comparer: Comparer) -> Iterator[Progress]:
     """Those of `frames` that are not kept yet."""
     for done, frame in enumerate(frames):
         yield run.progress("ground truth", done / len(frames), f"rendering the ground truth of frame {frame}")
@@ -81,13 +108,8 @@ def render_ground_truths(run: PreparedRun, frames: Sequence[int], comparer: Comp
             methods.save_ground_truth(path, comparer.render_ground_truth(frame))
 
 
-def comparison_sources(run: PreparedRun, lights: Mapping[int, Lights]) -> dict[int, int]:
-    """By frame the first whose comparison is the same, as scene, camera, capture and the lights by method are."""
-    first: dict[tuple[Any, ...], int] = {}
-    return {frame: first.setdefault(_made_from(run, frame, own), frame) for frame, own in lights.items()}
-
-
 def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
+    """The same where a comparison is: scene, camera, capture and the lights by method."""
     captured = load_frame(run.outputs.capture(frame))
     of_all = [light.tobytes() for of_method in lights.values() for light in of_method.values()]
     pixels = captured.srgb_u8.tobytes(), captured.plane_depth_m.tobytes()
@@ -95,7 +117,7 @@ def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
     return run.reuse.comparison(frame, *pixels, ",".join(lights).encode(), repr(room).encode(), *of_all)
 
 
-def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
+def _take_over(outputs: RunOutputs, source: int, frame: int) -> ComparedFrame:
     compared = read_record(ComparedFrame, outputs.compared(source))
     for kept, path in zip(*(_radiance(outputs, compared, one) for one in (source, frame)), strict=True):
         copy_whole(kept, path)
@@ -105,27 +127,23 @@ def _take_over(outputs: RunOutputs, source: int, frame: int) -> None:
     pictures = {kind: outputs.relative(outputs.picture(kind, frame)) for kind in compared.pictures}
     taken_over = replace(compared, pictures=pictures, comparison_render_s=0.0, comparison_same_as=source)
     write_json(outputs.compared(frame), as_json(taken_over))
+    return taken_over
 
 
-def _compare_frame(run: PreparedRun, frame: int, lights: Lights, comparer: Comparer) -> None:
-    truth = methods.load_ground_truth(run.outputs.ground_truth(frame))
-    captured, surfaces = load_frame(run.outputs.capture(frame)), surfaces_known(run, frame, comparer)
-    compared = comparer.render_methods(captured, lights, truth, surfaces)
+def _record_frame(run: PreparedRun, frame: int, compared: Comparison, _done: object) -> ComparedFrame:
     metrics, n_hueless = {}, {}
     for name, picture in compared.methods.items():
         metrics[name] = methods.measure(picture, compared.ground_truth, compared.weights, compared.ring)
         n_hueless[name] = methods.hueless_pixels(picture, compared.ground_truth, compared.weights)
-    content = ComparedFrame(
+    return ComparedFrame(
         pictures=_write_pictures(run, frame, compared),
         comparison=metrics,
         n_hueless_pixels=n_hueless,
         object_pixels=float(compared.weights.sum()),
         comparison_render_s=compared.render_s,
         comparison_same_as=None,
-        surfaces={name: tuple(map(as_surface_result, found)) for name, found in surfaces.items()},
+        surfaces={name: tuple(map(as_surface_result, found)) for name, found in compared.surfaces.items()},
     )
-    write_json(run.outputs.compared(frame), as_json(content))
-    run.outputs.ground_truth(frame).unlink()
 
 
 def surfaces_known(run: PreparedRun, frame: int, comparer: Comparer) -> dict[str, list[Surface]]:

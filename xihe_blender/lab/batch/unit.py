@@ -16,7 +16,6 @@ whoever computes it.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import itertools
 import operator
@@ -28,9 +27,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
-from xihe_blender.compare.methods import Comparer, display, error_map, load_ground_truth, measure
+from xihe_blender.compare.methods import Comparison, display, error_map, measure
 from xihe_blender.io.folder_manifest import contents_sha256
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.kept_files import kept_record
@@ -49,7 +46,7 @@ from xihe_blender.lab.batch.results import (
     worst_frame,
     worst_picture,
 )
-from xihe_blender.previs.compare_path import comparison_sources, render_ground_truths, surfaces_known
+from xihe_blender.previs.compare_path import compare_frames
 from xihe_blender.previs.files_read import files_named, files_read
 from xihe_blender.previs.path_renders import render_path
 from xihe_blender.previs.phone_errors import run_sessions
@@ -60,8 +57,6 @@ from xihe_blender.previs.settings import load_estimators
 from xihe_blender.report.values import mean
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
-from xihenet.io.recording import load_frame
-from xihenet.records import ObjectLight
 
 FACTORS = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0)
 WITHOUT_ANCHORS = ("ambient", "truth")
@@ -161,53 +156,37 @@ def compare_unit(
     first = runs[0]
     step = first.settings.preset_values.comparison_step
     wanted = [compared_frames([frame.frame for frame in chain.frames if frame.active], step) for chain in chains]
-    frames = sorted(frozenset[int]().union(*wanted))
-    trials = {frame: [index for index, of_trial in enumerate(wanted) if frame in of_trial] for frame in frames}
-    lights = {
-        frame: {str(k): chains[k].lights[frame][runs[k].settings.estimator] for k in trials[frame]} for frame in frames
-    }
-    sources = comparison_sources(first, lights)
-    own = [frame for frame in frames if sources[frame] == frame]
-    kept = {frame: kept_record(ComparedTrials, first.outputs.compared(frame)) for frame in own}
-    missing = [frame for frame, content in kept.items() if content is None]
-    by_trial: list[dict[int, Metrics]] = [{} for _ in runs]
-    pixels: dict[int, float | None] = {}
-    with contextlib.ExitStack() as stack:
-        if missing:
-            methods = [str(index) for index in range(len(runs))]
-            comparer = stack.enter_context(first.open_comparer(methods))
-            yield from render_ground_truths(first, missing, comparer)
-        for done, frame in enumerate(frames):
-            yield first.progress("methods", done / len(frames), f"comparing frame {frame}")
-            content = kept[sources[frame]]
-            if content is None:
-                content = kept[frame] = _compared(first, frame, lights[frame], comparer, by_trial)
-                write_json(first.outputs.compared(frame), as_json(content))
-                first.outputs.ground_truth(frame).unlink()
-            pixels[frame] = content.object_pixels or None  # Frames without an object do not count.
-            for index in trials[frame]:
-                by_trial[index][frame] = content.metrics[str(index)]
-    return by_trial, pixels, sum(content.render_s for content in kept.values() if content is not None)
+    lights: dict[int, Lights] = {frame: {} for frame in sorted(frozenset[int]().union(*wanted))}
+    for trial, (run, chain) in enumerate(zip(runs, chains, strict=True)):
+        for frame in wanted[trial]:
+            lights[frame][str(trial)] = chain.lights[frame][run.settings.estimator]
+    methods = [str(trial) for trial in range(len(runs))]
+    read = lambda frame: kept_record(ComparedTrials, first.outputs.compared(frame))  # noqa: E731
+    record = functools.partial(_record_frame, first.outputs.folder, lights)
+    compared, sources = yield from compare_frames(first, methods, lights, read, record)
+    by_trial = [
+        {frame: compared[sources[frame]].metrics[trial] for frame in of_trial}
+        for trial, of_trial in zip(methods, wanted, strict=True)
+    ]
+    # Frames without an object do not count.
+    pixels = {frame: compared[source].object_pixels or None for frame, source in sources.items()}
+    return by_trial, pixels, sum(one.render_s for one in compared.values())
 
 
-def _compared(
-    run: PreparedRun, frame: int, lights: Lights, comparer: Comparer, so_far: Sequence[Mapping[int, Metrics]]
+def _record_frame(
+    folder: Path, lights: Mapping[int, Lights], frame: int, compared: Comparison, done: Mapping[int, ComparedTrials]
 ) -> ComparedTrials:
-    """Metrics of each trial at `frame`; pictures are written of those that are worse than `so_far`."""
-    dark = {item.name: ObjectLight(np.zeros((9, 3))) for item in run.plan.objects}
-    of_all = {method: lights.get(method, dark) for method, _ in comparer.worlds}
-    truth = load_ground_truth(run.outputs.ground_truth(frame))
-    surfaces = surfaces_known(run, frame, comparer)
-    compared = comparer.render_methods(load_frame(run.outputs.capture(frame)), of_all, truth, surfaces)
+    """Metrics of each trial at `frame`; pictures are written of those that are worse than all that is `done`."""
     metrics = {}
-    for trial in lights:
+    for trial in lights[frame]:
         picture = compared.methods[trial]
         metrics[trial] = measure(picture, compared.ground_truth, compared.weights, compared.ring)
-        if worst_frame({**so_far[int(trial)], frame: metrics[trial]}) == frame:
+        so_far = {other: one.metrics[trial] for other, one in done.items() if trial in one.metrics}
+        if worst_frame({**so_far, frame: metrics[trial]}) == frame:
             error = error_map(picture, compared.ground_truth, compared.weights)
             shown = (display(compared.ground_truth), display(picture), error)
             for kind, pixels in zip(WORST_KINDS, shown, strict=True):
-                write_picture(worst_picture(run.outputs.folder, int(trial), kind), pixels)
+                write_picture(worst_picture(folder, int(trial), kind), pixels)
     return ComparedTrials(metrics, compared.render_s, float(compared.weights.sum()))
 
 
