@@ -15,7 +15,7 @@ import functools
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union
 
@@ -27,6 +27,10 @@ Parameters = dict[str, Plain | tuple[Plain, ...]]
 Record = TypeVar("Record")
 ABSENT = {"json": "absent"}
 INLINE = {"json": "inline"}
+Where = tuple[Any, str | int]
+"""Around what a value lies, which is again such a pair or None, and its name or place in it: put into words only where
+it is asked for."""
+Reader = Callable[[Json, Where], Any]
 PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string", type(None): "null"}
 
 
@@ -49,7 +53,8 @@ def as_json(value: object) -> Json:
 
 def from_json(kind: type[Record], content: Json) -> Record:
     """The record that `content` is. TypeError or ValueError where it is not one, with the name of the field."""
-    return typing.cast(Record, _read(kind, content, kind.__name__))
+    read = _reader(typing.cast(Any, kind))
+    return typing.cast(Record, read(content, (None, kind.__name__)))
 
 
 def read_record(kind: type[Record], path: Path) -> Record:
@@ -69,60 +74,78 @@ def json_schema(kind: type) -> dict[str, Json]:
     }
 
 
-def _read(kind: Any, content: Json, where: str) -> Any:
-    # The plain ones first: most values are, and typing takes as long to say what a kind is made of.
+@functools.cache
+def _reader(kind: Any) -> Reader:
+    """What reads a value of a kind. Made once: typing takes as long to say what a kind is made of as most take to read.
+
+    The fields of a record are looked at when the first is read, since it may hold others of its kind.
+    """
+    origin, of = typing.get_origin(kind), typing.get_args(kind)
     if kind is float:
-        is_number = type(content) is float or (isinstance(content, int | float) and not isinstance(content, bool))
-        return float(_checked(is_number and math.isfinite(content), content, where))
-    if kind in PLAIN:
-        return _checked(type(content) is kind, content, where)
-    is_record, origin, of = _made_of(kind)
-    if is_record:
-        return _read_record(kind, content, where)
+        return _read_number
+    if dataclasses.is_dataclass(kind):
+        return functools.partial(_read_record, kind)
     if origin in (Union, types.UnionType):
-        return _read_one_of(of, content, where)
+        return functools.partial(_read_one_of, {one: _reader(one) for one in of})
     if origin is Literal:
-        return _checked(content in of, content, where)
+        return lambda content, where: _checked(content in of, content, where)
     if origin is tuple:
-        _checked(isinstance(content, list | tuple), content, where)
-        kinds = of[:1] * len(content) if of[1:] == (...,) else of
-        _checked(len(kinds) == len(content), content, where)
-        if set(kinds) == {float} == set(map(type, content)) and all(map(math.isfinite, content)):
-            return tuple(content)  # As below, in a tenth of the time.
-        return tuple(_read(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, content, strict=True)))
+        readers = [_reader(one) for one in of if one is not ...]
+        return functools.partial(_read_tuple, readers, of[1:] == (...,), set(readers) == {_read_number})
     if origin in (dict, Mapping):
-        _checked(isinstance(content, Mapping), content, where)
-        names = [int(name) if of[0] is int else name for name in content]
-        return {k: _read(of[1], v, f"{where}.{k}") for k, v in zip(names, content.values(), strict=True)}
+        return functools.partial(_read_dict, of[0], _reader(of[1]))
     if getattr(origin, "__name__", "") in ("ndarray", "NDArray"):  # the latter from NumPy 2.5 on
-        return _read_numbers(content, where)
-    return _checked(type(content) is kind, content, where)
+        return _read_numbers
+    return lambda content, where: _checked(type(content) is kind, content, where)
+
+
+def _read_number(content: Json, where: Where) -> float:
+    is_number = type(content) is float or (isinstance(content, int | float) and not isinstance(content, bool))
+    return float(_checked(is_number and math.isfinite(content), content, where))
+
+
+def _read_tuple(
+    readers: list[Reader], is_of_any_length: bool, is_of_floats: bool, content: Json, where: Where
+) -> tuple[Any, ...]:
+    _checked(isinstance(content, list | tuple), content, where)
+    readers = readers * len(content) if is_of_any_length else readers
+    _checked(len(readers) == len(content), content, where)
+    if is_of_floats and set(map(type, content)) == {float} and all(map(math.isfinite, content)):
+        return tuple(content)  # As below, in a tenth of the time.
+    return tuple([read(v, (where, i)) for i, (read, v) in enumerate(zip(readers, content, strict=True))])
+
+
+def _read_dict(of_names: type, read: Reader, content: Json, where: Where) -> dict[Any, Any]:
+    _checked(isinstance(content, Mapping), content, where)
+    names = [int(name) if of_names is int else name for name in content]
+    return {k: read(v, (where, f".{k}")) for k, v in zip(names, content.values(), strict=True)}
+
+
+def _read_numbers(content: Json, where: Where) -> Any:
+    if isinstance(content, list):
+        return [_read_numbers(of_one, (where, i)) for i, of_one in enumerate(content)]
+    return _read_number(content, where)
+
+
+def _read_record(kind: Any, content: Json, where: Where) -> Any:
+    _checked(isinstance(content, Mapping), content, where)
+    given = {}
+    for name, read, inner in _fields_of(kind):
+        if inner is not None:
+            if any(one in content for one in inner):
+                given[name] = read(content, where)
+        elif name in content:
+            given[name] = read(content[name], (where, f".{name}"))
+    return kind(**given)
 
 
 @functools.cache
-def _made_of(kind: Any) -> tuple[bool, Any, tuple[Any, ...]]:
-    """Whether it is a record; its origin and its arguments."""
-    return dataclasses.is_dataclass(kind), typing.get_origin(kind), typing.get_args(kind)
-
-
-def _read_numbers(content: Json, where: str) -> Any:
-    if isinstance(content, list):
-        return [_read_numbers(of_one, f"{where}[{i}]") for i, of_one in enumerate(content)]
-    return _read(float, content, where)
-
-
-def _read_record(kind: Any, content: Json, where: str) -> Any:
-    _checked(isinstance(content, Mapping), content, where)
-    given = {}
-    for field in dataclasses.fields(kind):
-        of_field = _types_of(kind)[field.name]
-        if field.metadata == INLINE:
-            inner = _record_in(of_field)
-            if any(name in content for name in _types_of(inner)):
-                given[field.name] = _read_record(inner, content, where)
-        elif field.name in content:
-            given[field.name] = _read(of_field, content[field.name], f"{where}.{field.name}")
-    return kind(**given)
+def _fields_of(kind: Any) -> list[tuple[str, Reader, Collection[str] | None]]:
+    """Name and reader of each field, and of one that is INLINE the names that stand there, else None."""
+    fields = [(field, _types_of(kind)[field.name]) for field in dataclasses.fields(kind)]
+    inner = {field.name: _record_in(of) for field, of in fields if field.metadata == INLINE}
+    names = {name: _types_of(record) for name, record in inner.items()}
+    return [(one.name, _reader(inner.get(one.name, of)), names.get(one.name)) for one, of in fields]
 
 
 def _record_in(optional: Any) -> Any:
@@ -130,23 +153,30 @@ def _record_in(optional: Any) -> Any:
     return next(kind for kind in typing.get_args(optional) if dataclasses.is_dataclass(kind))
 
 
-def _read_one_of(kinds: tuple[Any, ...], content: Json, where: str) -> Any:
-    if content is None and type(None) in kinds:
+def _read_one_of(readers: Mapping[Any, Reader], content: Json, where: Where) -> Any:
+    if content is None and type(None) in readers:
         return None
     # True is no number, and 1 stays one where a float would do as well.
-    exact = [kind for kind in kinds if type(content) is kind]
-    for kind in exact or [kind for kind in kinds if kind is not type(None)]:
+    exact = readers.get(type(content))
+    for read in (exact,) if exact else [read for kind, read in readers.items() if kind is not type(None)]:
         try:
-            return _read(kind, content, where)
+            return read(content, where)
         except (TypeError, ValueError) as error:
             refusal = error
     raise refusal
 
 
-def _checked(is_right: bool, content: Json, where: str) -> Any:
+def _checked(is_right: bool, content: Json, where: Where) -> Any:
     if not is_right:
-        raise ValueError(f"{where}: {str(content)[:80]!r} does not belong there")
+        raise ValueError(f"{_format_place(where)}: {str(content)[:80]!r} does not belong there")
     return content
+
+
+def _format_place(where: Where | None) -> str:
+    if where is None:
+        return ""
+    around, part = where
+    return _format_place(around) + (part if isinstance(part, str) else f"[{part}]")
 
 
 @functools.cache
