@@ -13,7 +13,8 @@ import contextlib
 import signal
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from bisect import insort
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import TypeVar
@@ -40,6 +41,22 @@ class Progress:
         return self.left or {"": self.total - self.done}
 
 
+@dataclass
+class _Stage:
+    """Units and seconds of the first step of a stage, and the seconds per unit of those that follow, in rising order:
+    sorted anew at each step, those of 10,000 took 7 s."""
+
+    units: float
+    seconds: float
+    paces: list[float] = field(default_factory=list)
+
+    @property
+    def pace(self) -> float:
+        """Seconds per unit: the median."""
+        paces = self.paces or [self.seconds / self.units]
+        return (paces[(len(paces) - 1) // 2] + paces[len(paces) // 2]) / 2
+
+
 class TimeLeft:
     """The time that is left of a job, from the pace of each of its stages; told of every Progress, in order.
 
@@ -49,28 +66,29 @@ class TimeLeft:
     """
 
     def __init__(self) -> None:
-        self.steps: dict[str, list[tuple[float, float]]] = {}
-        """Units and seconds of the steps of each stage."""
+        self.known: dict[str, _Stage] = {}
         self.before: tuple[Progress, float] | None = None
 
     def after(self, progress: Progress, elapsed_s: float) -> float | None:
         """Seconds left; None before there are two steps."""
         since_s = elapsed_s
         if self.before is not None and _is_of_another_job(progress, self.before[0]):
-            self.steps.clear()
+            self.known.clear()
         elif self.before is not None:
             last, then_s = self.before
             stage = next(iter(last.stages))
             units = last.stages[stage] - progress.stages.get(stage, 0.0)
-            if units > 0:
-                self.steps.setdefault(stage, []).append((units, elapsed_s - then_s))
-            elif stage in self.steps and stage in progress.stages:
+            if units > 0 and stage in self.known:
+                insort(self.known[stage].paces, (elapsed_s - then_s) / units)
+            elif units > 0:
+                self.known[stage] = _Stage(units, elapsed_s - then_s)
+            elif stage in self.known and stage in progress.stages:
                 since_s = then_s  # What is told within a unit does not end it.
         self.before = progress, since_s
-        paces = {stage: _pace(steps) for stage, steps in self.steps.items()}
-        if sum(map(len, self.steps.values())) < 2:
+        paces = {name: stage.pace for name, stage in self.known.items()}
+        if sum(1 + len(stage.paces) for stage in self.known.values()) < 2:
             return None  # One step is mostly set-up.
-        set_ups = [steps[0][1] - steps[0][0] * paces[stage] for stage, steps in self.steps.items() if len(steps) > 1]
+        set_ups = [stage.seconds - stage.units * stage.pace for stage in self.known.values() if stage.paces]
         set_up_s, last_pace = max(0.0, *set_ups, 0.0), list(paces.values())[-1]
         return sum(
             units * paces[stage] if stage in paces else units * last_pace + set_up_s
@@ -83,13 +101,6 @@ def _is_of_another_job(progress: Progress, last: Progress) -> bool:
     if progress.left or last.left:
         return bool(progress.left) != bool(last.left)
     return progress.total != last.total or progress.done < last.done
-
-
-def _pace(steps: Sequence[tuple[float, float]]) -> float:
-    """Seconds per unit."""
-    from statistics import median  # It takes as long to load as all else that the panel needs.
-
-    return median(seconds / units for units, seconds in steps[1:] or steps)
 
 
 Job = Generator[Progress, None, Result]
