@@ -207,6 +207,13 @@ def test_constant_cones_are_constant_light():
     assert (np.sign(cone_factors()) == [1, -1, -1, -1, 1, 1, 1, 1, 1]).all() and abs(cone_factors()).min() > 0.5
 
 
+def test_means_of_cones_that_are_known_are_those_of_all_pictures_anew():
+    pictures, known = list(np.random.default_rng(0).random((5, 16, 16, 3), np.float32)), {}
+    for n in range(1, 6):
+        again = lights_of_cones(pictures[:n], known)
+        assert again.tobytes() == lights_of_cones(pictures[:n]).tobytes()
+
+
 def test_what_was_measured_comes_back_from_json():
     rng = np.random.default_rng(0)
     light = MeasuredLight(rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), 0.1, None, 4, 16)

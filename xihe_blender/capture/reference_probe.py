@@ -81,6 +81,9 @@ SEQUENCE_LENGTH = 512
 
 Picture = TypeVar("Picture")
 
+Means = dict[tuple[int, int], ArrayF64]
+"""Coefficients of what pictures of cones show, by number of the picture and of the one beside it."""
+
 
 @dataclass(frozen=True)
 class ProbeSettings:
@@ -201,9 +204,10 @@ class ReferenceProbe:
             rendered = self.view(index, -1, samples=max(2, len(views) // 2), is_denoised=True)
             smooth = _exposed_view(rendered, gain)
             ldr, ldr_noise = _mean_and_noise(_lights_seen(views, smooth.radiance, order))
+        known: Means = {}
         cones, hdr, hdr_noise = self._measure(
             lambda number: self.cones(index, number),
-            lambda cones: lights_of_cones([finite_rgb(cone.passes, "Combined") for cone in cones]) * gain,
+            lambda cones: lights_of_cones([finite_rgb(cone.passes, "Combined") for cone in cones], known) * gain,
             self.settings.max_samples,
         )
         seen: ArrayF32 = np.mean([view.radiance for view in views], axis=0) if smooth is None else smooth.radiance
@@ -306,22 +310,24 @@ def _mean_and_noise(lights: ArrayF64) -> tuple[ArrayF64, float | None]:
     return lights.mean(axis=0), relative_noise(lights, DARKEST_LIGHT)
 
 
-def lights_of_cones(pictures: Sequence[ArrayF32]) -> ArrayF64:
+def lights_of_cones(pictures: Sequence[ArrayF32], known: Means | None = None) -> ArrayF64:
     """(n, 9, 3) radiance coefficients of the light that each picture of cones was made of; see `means_over_cones`."""
-    return means_over_cones(pictures) / cone_factors()[:, None]
+    return means_over_cones(pictures, 2, known) / cone_factors()[:, None]
 
 
-def means_over_cones(pictures: Sequence[ArrayF32], order: int = 2) -> ArrayF64:
+def means_over_cones(pictures: Sequence[ArrayF32], order: int = 2, known: Means | None = None) -> ArrayF64:
     """(n, (order + 1)^2, 3) coefficients of what each picture of cones (N, N, 3) shows, every other one turned over.
 
     The mean that is seen in a direction is that of the light around the opposite one. A picture and the one beside it
-    tell each other what lies on their rims.
+    tell each other what lies on their rims. `known` keeps the means for later calls with more pictures of the same.
     """
-    means = []
+    means, known = [], {} if known is None else known
     for number, picture in enumerate(pictures):
         beside = number ^ 1 if number ^ 1 < len(pictures) else number - 1
-        seen = project_mirror_ball(picture, order, turned=pictures[beside] if beside >= 0 else None)
-        means.append(seen * (turned_over(order)[:, None] if number % 2 else 1))
+        if (number, beside) not in known:
+            seen = project_mirror_ball(picture, order, turned=pictures[beside] if beside >= 0 else None)
+            known[number, beside] = seen * (turned_over(order)[:, None] if number % 2 else 1)
+        means.append(known[number, beside])
     return np.array(means)
 
 
