@@ -1,4 +1,4 @@
-"""The two buffers of a position: what has been seen from it so far, and what the current light was estimated from.
+"""The two buffers into which frames merge: what a position has seen so far, and what its light was estimated from.
 
 Two clouds per position: the temporary one merges every frame since the last fire, the persistent one is merged from it
 when the trigger fires, and the estimate is made from the persistent one after that merge. The trigger compares the two.

@@ -1,4 +1,4 @@
-"""The camera: how do pixels become points in the world, and points become pixels?
+"""The camera, which unprojects: how do pixels become points in the world, and points become pixels?
 
 A pinhole camera with separate focal lengths and any principal point (so lens shift and non-square pixels are covered),
 exposure and the sRGB transfer. Row 0 is the top row and pixel centres lie at +0.5; the camera looks down -Z with +Y up,

@@ -1,4 +1,4 @@
-"""The codec: a unit-sphere cloud on the wire, in the paper's four encodings and two of ours, packed.
+"""The codec, which encodes: a unit-sphere cloud on the wire, in the paper's four encodings and two of ours, packed.
 
 All are little endian, see `METHODS`: 16, 18, 5, 7, 8 and 12 bytes for each anchor or, with its index, for each set
 anchor. The last two are ours. What facing costs is one byte in eight, 0.6 kB for half of 1280 anchors. It is the cosine

@@ -13,7 +13,8 @@ from xihe_blender.cli.document import TRAINING, WITHOUT_TRAINING, document
 from xihe_blender.cli.main import command_parser
 from xihe_blender.io.run_results import METRICS
 from xihe_blender.previs.presets import PRESETS
-from xihenet import __version__, estimators
+from xihe_blender.report.plots import CHAIN, STAGES
+from xihenet import __version__, controller, estimators
 from xihenet.captures.reading import READERS
 from xihenet.captures.replay import REPLAY_TRIGGER
 from xihenet.light.platforms import PLATFORMS
@@ -217,6 +218,20 @@ def test_the_index_names_every_page_once():
 def test_a_page_names_all_that_can_be_chosen_or_read(page, names):
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     assert [name for name in names if f"`{name}`" not in text] == []
+
+
+def test_the_chain_has_the_same_words_everywhere():
+    chain, (previs, conventions) = (
+        list(CHAIN),
+        ((ROOT / "docs" / f"{name}.md").read_text() for name in ("previs", "conventions")),
+    )
+    assert " → ".join(chain) in " ".join(README.split())
+    stages = previs.split("## What a run does")[1].split("##")[0]
+    assert re.findall(r"^\| (\w[\w ]*) \|", stages, re.MULTILINE) == ["stage", *chain]
+    where = conventions.split("## Where is what")[1].split("`xihenet`, by what")[0]
+    listed = ", ".join(re.findall(r"^\| (\w[^|]*) \|", where, re.MULTILINE)).split(", ")
+    assert [word for word in listed if word in chain] == chain
+    assert ", ".join(STAGES[:-1]) in controller.__doc__
 
 
 def test_the_page_on_recordings_names_every_format():

@@ -30,8 +30,6 @@ from xihenet import svg
 from xihenet.formats import format_bytes, format_number, format_percent, format_quantity
 from xihenet.svg import HEIGHT_PX, Axis, linear_axis
 
-REFLECT = "reflect"
-STAGES = ("unproject", "sample", "merge", "trigger", "encode", "estimate", REFLECT)
 LANE_PX = 15
 _WIDEST_BAR_PERCENT = 10.0
 _MANY_FRAMES = 80
@@ -52,6 +50,10 @@ CHAIN = {
     "apply": "the virtual objects are lit by the estimate",
     "compare": "the result is compared with path-traced ground truth",
 }
+REFLECT = "reflect"
+STAGES = (*list(CHAIN)[2:-2], REFLECT)
+"""Those of a frame's step, which are timed."""
+
 _STAGES_LISTED = "".join(f"<li><b>{stage}</b>: {words}</li>" for stage, words in CHAIN.items())
 _CHAIN_LISTED = (
     f'<details class="chain"><summary>The stages of the chain, in order</summary><ol>{_STAGES_LISTED}</ol></details>'
