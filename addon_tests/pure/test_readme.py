@@ -234,6 +234,15 @@ def test_the_chain_has_the_same_words_everywhere():
     assert ", ".join(STAGES[:-1]) in controller.__doc__
 
 
+def test_what_contributing_says_to_touch_is_there():
+    text, rooms = CONTRIBUTING.split("## How to add")[1], ("xihenet", "xihe_blender", "addon_tests")
+    sources = "\n".join(path.read_text(encoding="utf-8") for room in rooms for path in (ROOT / room).rglob("*.py"))
+    assert [name for name in set(re.findall(r"`(\w+)`", text)) if name not in sources] == []
+    files = {file for file in re.findall(r"`([\w/]+\.(?:py|md|json))`", text) if "NAME" not in file}
+    paths = [path.relative_to(ROOT).as_posix() for room in (*rooms, "docs") for path in (ROOT / room).rglob("*.*")]
+    assert files and [file for file in files if not any(f"/{path}".endswith(f"/{file}") for path in paths)] == []
+
+
 def test_the_page_on_recordings_names_every_format():
     text = (ROOT / "docs/captures.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| (?:a )?([^,|]+?)(?:,[^|]*)? \|", text.split("## What is read")[1], re.MULTILINE)
