@@ -15,6 +15,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihenet.effects import Change, Effect, EffectCost, effects_as_json
 from xihenet.formats import format_setting
+from xihenet.phone import PHONE_EFFECTS
 
 REASON_WIDTH = 60
 COST_HEADER = f"{'effect':<20}  {'cost':<12}  {'light':<16}  picture"
@@ -67,7 +68,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     if options.json:
         print(json.dumps(effects_as_json(effects, with_cost=True), indent=1), file=stdout)
     elif not options.plan_only:
-        late = [name for name, effect in effects.items() if effect.cost is None and effect.is_switchable]
+        measurable = [name for name, effect in effects.items() if effect.is_switchable and name not in PHONE_EFFECTS]
+        late = [name for name in measurable if effects[name].cost is None]
         lines = [f"\n{name}: not measured within the budget of {options.budget:g} s" for name in late]
         show("".join(lines) + COST_LEGEND)
 
