@@ -47,7 +47,7 @@ _OURS = {
     "truth": _Row(
         ".truth",
         "Truth",
-        "Ground Truth",
+        "Reference Light",
         "No estimate: the true light rendered at each object, the best that can be reached",
     ),
 }
