@@ -5,7 +5,7 @@ import random
 import pytest
 
 from xihe_blender.lab.paper.records import Row
-from xihe_blender.lab.paper.tables import table_lines, tables_of
+from xihe_blender.lab.paper.report import table_lines, tables_of
 from xihenet.formats import MINUS
 
 

@@ -16,18 +16,13 @@ from xihenet.estimators import DEFAULT
 from xihenet.formats import format_count
 from xihenet.light import LightParts
 from xihenet.sphere import TABLE_SIZE, NearestMethod
+from xihenet.trigger import RULES
 
 SCHEMA_VERSION: Literal[1] = 1
 STEADY = 0.95
 """A choice flickers if it is on the front in more than 1 - STEADY and less than STEADY of the resamples."""
 
 Front = Literal["render", "compute", "total"]
-
-
-def _theta_of_a_run() -> float:
-    from xihe_blender.previs.settings import PREVIS_TRIGGER  # A run's settings need Blender.
-
-    return PREVIS_TRIGGER.theta
 
 
 @dataclass(frozen=True)
@@ -40,7 +35,7 @@ class ComputeChoice:
     nearest: Annotated[NearestMethod, "how points find their anchor"] = "exact"
     table_size: Annotated[tuple[int, int] | None, 'cells of "table" over azimuth and polar angle; else None'] = None
     every_pixel: Annotated[int, "of each row and column every n-th pixel is used"] = 1
-    theta: Annotated[float, "of the trigger, for colour; 0 estimates always"] = field(default_factory=_theta_of_a_run)
+    theta: Annotated[float, "of the trigger, for colour; 0 estimates always"] = RULES["split"].theta
     wire: Annotated[EncodingMethod | None, "format of clouds to the estimator and back; None: it stays here"] = None
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,16 +64,15 @@ class BuildSettings:
     scheduler: str | None = None  # of Dask, by its address, whose workers make the rooms; None for processes of our own
 
     def __post_init__(self) -> None:
-        if not 1 <= self.n_rooms <= MAX_ROOMS:
-            raise UserError(f"--rooms {self.n_rooms}: give 1 to {MAX_ROOMS}")
-        if self.seed < 0:
-            raise UserError(f"--seed {self.seed}: give 0 or more")
-        if self.n_workers is not None and self.n_workers < 1:
-            raise UserError(f"--workers {self.n_workers}: give 1 or more")
-        if self.walk is not None and not 2 <= self.walk <= MAX_WALK:
-            raise UserError(f"--walk {self.walk}: give 2 to {MAX_WALK} frames")
-        if self.views is not None and not MIN_VIEWS <= self.views <= MAX_VIEWS:
-            raise UserError(f"--views {self.views}: give {MIN_VIEWS} to {MAX_VIEWS}")
+        for option, number, least, most, words in (
+            ("rooms", self.n_rooms, 1, MAX_ROOMS, f"1 to {MAX_ROOMS}"),
+            ("seed", self.seed, 0, math.inf, "0 or more"),
+            ("workers", self.n_workers, 1, math.inf, "1 or more"),
+            ("walk", self.walk, 2, MAX_WALK, f"2 to {MAX_WALK} frames"),
+            ("views", self.views, MIN_VIEWS, MAX_VIEWS, f"{MIN_VIEWS} to {MAX_VIEWS}"),
+        ):
+            if number is not None and not least <= number <= most:
+                raise UserError(f"--{option} {number}: give {words}")
         if self.views is not None and self.walk is not None:
             raise UserError("--views and --walk: give one of them")
         for name, share in (("varied", self.varied), ("by-day", self.by_day)):
