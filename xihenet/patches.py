@@ -175,13 +175,12 @@ def cut_patches(patches: Patches, n_anchors: int) -> tuple[ArrayInt, ArrayF32]:
 @lru_cache(maxsize=1)
 def _shares() -> tuple[ArrayInt, ArrayF32]:
     """Where each grid of a x b points begins, [a, b], and the points of all, (2, M): -1 to 1 along each axis."""
-    starts, shares, n = np.zeros((MOST_ALONG + 1, MOST_ALONG + 1), np.intp), [], 0
-    for across, along in np.ndindex(MOST_ALONG, MOST_ALONG):
-        u, v = ((2 * np.arange(count) + 1) / count - 1 for count in (across + 1, along + 1))
-        starts[across + 1, along + 1] = n
-        shares.append(np.stack(np.meshgrid(u, v)).reshape(2, -1))
-        n += shares[-1].shape[1]
-    return starts, np.concatenate(shares, axis=1).astype(np.float32)
+    starts, (across, along) = np.zeros((MOST_ALONG + 1,) * 2, np.intp), np.indices((MOST_ALONG,) * 2).reshape(2, -1) + 1
+    n_points = across * along
+    starts[across, along] = first = np.cumsum(n_points) - n_points
+    across, along, first = (np.repeat(of_grids, n_points) for of_grids in (across, along, first))
+    row, column = np.divmod(np.arange(len(first)) - first, across)
+    return starts, np.stack([(2 * column + 1) / across - 1, (2 * row + 1) / along - 1]).astype(np.float32)
 
 
 def _n_along(patches: Patches, spacing: float) -> ArrayInt:
