@@ -92,8 +92,11 @@ class KnownRoom:
     def hull_m(self, lattice: AnchorLattice) -> ArrayF64:
         """(N,) how far the room reaches along each anchor's direction, as its support function about the origin."""
         step = max(1, math.ceil(len(self.points_m) / MOST_HULL_POINTS))
-        heights = self.points_m[::step] @ lattice.directions.T
-        seen = np.percentile(heights, HULL_SHARE, axis=0) if len(heights) else np.full(lattice.n, -np.inf)
+        # Row by row, and in place: along the columns it takes twice as long, of 100 MB.
+        heights = lattice.directions @ self.points_m[::step].T
+        seen = np.full(lattice.n, -np.inf)
+        if heights.size:
+            seen = np.percentile(heights, HULL_SHARE, axis=1, overwrite_input=True)
         free = (self.places_m @ lattice.directions.T).max(axis=0, initial=-np.inf) + FREE_M
         return np.maximum(seen, free)
 
