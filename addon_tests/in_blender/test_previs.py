@@ -139,6 +139,18 @@ def test_the_session_of_a_run_gives_its_light_again_without_a_render(finished):
             assert light.expected_error[frame] == probe["expected_error"] and light.was_in_view
 
 
+def test_a_network_that_the_run_left_out_delays_nothing_in_its_session(finished, tmp_path):
+    shutil.copytree(finished.outputs.folder, tmp_path, dirs_exist_ok=True)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert ("network", "off") in [(effect["name"], effect["state"]) for effect in results["effects"]]
+    results["settings"]["network"] = "lte"
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    entry = finished.results["frames"][0]
+    first = entry["probes"][0]
+    found = run_blocking(run_blocking(open_kept_session(tmp_path)).find_light({"it": np.array(first["position_m"])}))
+    assert np.array_equal(found["it"].sh[entry["frame"]], first["sh"])
+
+
 @pytest.mark.slow
 def test_the_session_gives_the_light_that_a_run_finds_with_the_object_elsewhere(finished, tmp_path):
     scene = walk()
