@@ -34,7 +34,8 @@ from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.compare_path import OBJECTS, kept_comparison
-from xihe_blender.previs.kept_session import open_kept_session
+from xihe_blender.previs.kept_session import OF_CHAIN, open_kept_session
+from xihe_blender.previs.results import AS_SET
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
 
@@ -137,6 +138,13 @@ def test_the_session_of_a_run_gives_its_light_again_without_a_render(finished):
             light = found[probe["name"]]
             assert np.array_equal(light.sh[frame], probe["sh"]) and light.coverage[frame] == probe["coverage"]
             assert light.expected_error[frame] == probe["expected_error"] and light.was_in_view
+
+
+def test_every_setting_of_a_run_decides_its_light_again_or_is_known_not_to():
+    """What was seen is kept, so that what decided it matters no more; `trigger` and `following` are records."""
+    of_what_was_seen = {"effect_choices", "frames", "metering", "noise_target", "phone", "preset", "samples", "size"}
+    of_others, as_records = {"backend", "others"}, {"following", "trigger"}
+    assert {*OF_CHAIN} | of_what_was_seen | of_others | as_records == AS_SET
 
 
 def test_a_network_that_the_run_left_out_delays_nothing_in_its_session(finished, tmp_path):

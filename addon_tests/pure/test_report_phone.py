@@ -30,6 +30,8 @@ def test_each_effect_that_is_on_has_a_row_with_what_it_adds():
 def test_the_session_is_told_in_words_and_escaped():
     words = format_phone(results())
     assert "A &lt;phone&gt;" in words and "<code>lte</code>" in words and "81.0" in words and "2 were lost" in words
+    left_out = [{"name": "network", "state": "off", "reason": "nothing changes", "parameters": {}, "origin": "auto"}]
+    assert "lte" not in format_phone(results(effects=left_out))
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,8 @@ def format_summary(results: dict[str, Any]) -> str:
     estimates = format_count(summary["n_estimates"], "estimate")
     line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {estimates}"
     line += format_unanswered(summary["invalid"]["lights"])
-    if results["settings"]["network"] is not None:
+    states = {effect["name"]: effect["state"] for effect in results["effects"]}
+    if results["settings"]["network"] is not None and states.get("network") != "off":
         latency_ms = summary["mean_latency_ms"]
         took = "none arrived" if latency_ms is None else f"{latency_ms:.0f} ms to arrive"
         line += f", {took}, {summary['n_lost'] or 'none'} lost"

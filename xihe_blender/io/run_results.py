@@ -421,6 +421,12 @@ class RunResults:
         return {frame.frame: frame.compared for frame in self.frames if frame.compared is not None}
 
     @property
+    def network_in_use(self) -> str | None:
+        """None also for one that the run left out."""
+        left_out = any(effect.name == "network" and effect.state == "off" for effect in self.effects)
+        return None if left_out else self.settings.network
+
+    @property
     def probes(self) -> list[ProbeResult]:
         """Of all frames."""
         return [probe for frame in self.frames for probe in frame.probes]

@@ -22,7 +22,6 @@ from xihenet.camera_path.kept_path import FoundLight, KeptPath, SeenFrame
 from xihenet.camera_path.other_cores import find_light_on_all_cores
 from xihenet.io.recording import SessionFacts, load_frame
 from xihenet.light_change import LightFollowing
-from xihenet.phone import NETWORK
 from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
 
@@ -118,10 +117,8 @@ def _seen_frame(outputs: RunOutputs, frame: int, exposure: float) -> SeenFrame:
 
 
 def _settings_of(results: RunResults) -> PrevisSettings:
-    """Of the chain; what only rendering needs is left as it comes. A network that the run left out is none."""
-    of_run = results.settings
-    if any(effect.name == NETWORK and effect.state == "off" for effect in results.effects):
-        of_run = replace(of_run, network=None)
+    """Of the chain; what only rendering needs is left as it comes."""
+    of_run = replace(results.settings, network=results.network_in_use)
     following = None if of_run.following is None else LightFollowing(**of_run.following)  # type: ignore[arg-type]
     trigger = TriggerSettings(**of_run.trigger)  # type: ignore[arg-type]
     return PrevisSettings(trigger=trigger, following=following, **{name: getattr(of_run, name) for name in OF_CHAIN})

@@ -230,7 +230,7 @@ def _error(value: float | None) -> str:
 
 def format_phone(results: RunResults) -> str:
     """Which phone it was and how its estimates travelled, as a paragraph."""
-    network, n_lost = results.settings.network, results.summary.n_lost
+    network, n_lost = results.network_in_use, results.summary.n_lost
     words = f"{escape(results.phone.name)}: {escape(results.phone.summary)}."
     if network is not None:
         latency = format_quantity(results.summary.mean_latency_ms, "ms")
