@@ -200,9 +200,10 @@ def test_every_policy_can_be_chosen_by_name():
 @pytest.mark.parametrize("rule", RULES)
 def test_all_thresholds_of_a_rule_are_scaled_and_nothing_else(rule):
     own = RULES[rule]
-    scaled = own.scaled(64.0)
-    assert scaled.light_theta == 64 * own.light_theta and scaled.theta == 64 * own.theta
-    assert scaled.coverage_theta == min(1, 64 * own.coverage_theta)
-    assert own.scaled(1.0) == own
-    assert {own.scaled(0.0).theta, own.scaled(0.0).light_theta, own.scaled(0.0).coverage_theta} == {0}
-    assert replace(scaled, **{name: getattr(own, name) for name in ("theta", "coverage_theta", "light_theta")}) == own
+    scaled, at_once = own.scaled(64.0), own.scaled(0.0)
+    thetas = {name: value for name, value in vars(own).items() if name.endswith("theta")}
+    assert {"theta", "coverage_theta", "light_theta"} <= set(thetas)
+    for name, theta in thetas.items():
+        most = 1 if name == "coverage_theta" else np.inf
+        assert getattr(scaled, name) == min(most, 64 * theta) and getattr(at_once, name) == 0
+    assert own.scaled(1.0) == own and replace(scaled, **thetas) == own
