@@ -17,6 +17,7 @@ from xihe_blender.report.plots import CHAIN, STAGES
 from xihenet import __version__, controller, estimators
 from xihenet.captures.reading import READERS
 from xihenet.captures.replay import REPLAY_TRIGGER
+from xihenet.formats import format_list
 from xihenet.light.platforms import PLATFORMS
 from xihenet.phone import LINKS, PHONE_EFFECTS, profile_names
 from xihenet.trigger import RULES
@@ -218,6 +219,12 @@ def test_the_index_names_every_page_once():
 def test_a_page_names_all_that_can_be_chosen_or_read(page, names):
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     assert [name for name in names if f"`{name}`" not in text] == []
+
+
+@pytest.mark.parametrize("name", ["noise_target", "comparison_samples"])
+def test_the_page_on_runs_has_the_numbers_of_the_presets(name):
+    page = " ".join((ROOT / "docs" / "previs.md").read_text(encoding="utf-8").split())
+    assert format_list([f"{getattr(preset, name):g}" for preset in PRESETS.values()]) in page
 
 
 def test_the_chain_has_the_same_words_everywhere():
