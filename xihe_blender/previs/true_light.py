@@ -35,17 +35,23 @@ class TrueLight:
     """The light at each probe of `run` as last measured, in the directions in which its `controller` looks."""
 
     def __init__(self, run: PreparedRun, controller: XiheController) -> None:
-        self.run, self.controller = run, controller
+        self.run, self.lattice, self.fine_lattice = run, controller.lattice, controller.fine_lattice
         self.at: dict[str, _AtProbe] = {}
 
     def see(self, frame: int, references: Mapping[str, MeasuredLight]) -> None:
         """Take in the reference lights of `frame`, by name of the probe."""
         for probe in (one for one in self.run.plan.probes if one.name in references):
             source, before = self.run.reuse.probes[frame, probe.name], self.at.get(probe.name)
-            if before is None or before.source != source:
-                measured, previous = references[probe.name], None if before is None else before.key
-                key = self._key_light(probe, frame, measured, previous)
-                self.at[probe.name] = _AtProbe(source, measured, key, self._reflections(probe, frame))
+            if before is not None and before.source == source:
+                continue
+            measured, key, reflections = references[probe.name], None, None
+            if self.run.settings.has_key_light:
+                view, previous = true_view(self.run, probe, frame, self.lattice), None if before is None else before.key
+                key = split_light(measured.hdr, view, self.lattice, previous, is_exposed=False).key
+            is_first = probe == self.run.plan.probes_of(probe.object_name)[0]
+            if self.fine_lattice is not None and self.run.settings.has_reflections and is_first:
+                reflections = true_reflections(self.run, probe, frame, self.fine_lattice)
+            self.at[probe.name] = _AtProbe(source, measured, key, reflections)
 
     def measured(self, name: str) -> MeasuredLight | None:
         """The last reference light of a probe; None before the first."""
@@ -61,22 +67,6 @@ class TrueLight:
         first = self.at.get(next(iter(places_m)))
         light = replace(mean_light(list(each.values())), reflections=None if first is None else first.reflections)
         return with_positions(light, places_m, each) if len(each) > 1 else light
-
-    def _key_light(
-        self, probe: Probe, frame: int, measured: MeasuredLight, previous: KeyLight | None
-    ) -> KeyLight | None:
-        """From all that there is to see at `probe`."""
-        if not self.run.settings.has_key_light:
-            return None
-        lattice = self.controller.lattice
-        view = true_view(self.run, probe, frame, lattice)
-        return split_light(measured.hdr, view, lattice, previous, is_exposed=False).key
-
-    def _reflections(self, probe: Probe, frame: int) -> Reflections | None:
-        lattice, first = self.controller.fine_lattice, self.run.plan.probes_of(probe.object_name)[0]
-        if lattice is None or not self.run.settings.has_reflections or probe != first:
-            return None
-        return true_reflections(self.run, probe, frame, lattice)
 
 
 def true_reflections(run: PreparedRun, probe: Probe, frame: int, lattice: AnchorLattice) -> Reflections:
