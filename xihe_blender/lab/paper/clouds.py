@@ -7,11 +7,15 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
+import numpy as np
+
 from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.records import Place, Session, StudyOptions
+from xihenet import estimators
 from xihenet.buffers import merge
 from xihenet.camera import in_view, unproject_frame
 from xihenet.camera_path.placement import evenly_chosen
+from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, PointCloud, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
@@ -54,6 +58,18 @@ def several_views(sessions: Sequence[Session], options: StudyOptions, *, is_stea
         rooms = "rooms whose light stands still" if is_steady else "the rooms"
         raise UserError(f"fewer than two frames of {rooms} have a place in view: give more --scenes")
     return found
+
+
+def view_errors(
+    name: str, found: Sequence[View], n_anchors: int = 1280, points: Sequence[PointCloud] | None = None
+) -> ArrayF64:
+    """SHC RMSE of an estimator's light from each view's cloud, and from `points` or all that it shows."""
+    estimator, lattice = estimators.load(name, n_anchors, "ldr"), AnchorLattice(n_anchors)
+    errors = []
+    for view, seen in zip(found, points or [view.points for view in found], strict=True):
+        context = EstimateContext(view.frame, seen, view.place.position_m, None, view.exposure)
+        errors.append(shc_rmse(estimator.estimate(view.cloud(lattice), context), view.place.true_ldr))
+    return np.array(errors)
 
 
 def walk_errors(

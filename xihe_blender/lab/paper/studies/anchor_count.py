@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
-from xihe_blender.lab.paper.clouds import View, several_views
+from xihe_blender.lab.paper.clouds import several_views, view_errors
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
 from xihenet import estimators
-from xihenet.metrics import shc_rmse
-from xihenet.records import UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 
 PAPER_RMSE = {512: 0.0934, 768: 0.0960, 1024: 0.0959, 1280: 0.0941, 1536: 0.0938, 1792: 0.0940, 2048: 0.0942}
@@ -28,14 +24,13 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     rooms, rng = [view.room for view in found], options.rng
     cases = of_rooms("views", rooms)
     sizes = QUICK_SIZES if options.quick else tuple(PAPER_RMSE)
-    clouds = {n: [view.cloud(AnchorLattice(n)) for view in found] for n in sizes}
     for n in sizes:
-        shares = measured([cloud.is_set.mean() for cloud in clouds[n]], rng, groups=rooms)
+        shares = measured([view.cloud(AnchorLattice(n)).is_set.mean() for view in found], rng, groups=rooms)
         paper = NON_EMPTY if n == 1280 else None
         what, is_detail = f"{n} anchors: set by one view", n not in QUICK_SIZES
         yield Row(what, "of all", *shares, "other data", SHARE, paper, cases, is_detail=is_detail)
     for name in ("xihenet", "projection", "lattice"):
-        errors = {n: np.array(_errors(name, n, clouds[n], found)) for n in sizes if _takes(name, n)}
+        errors = {n: view_errors(name, found, n) for n in sizes if _takes(name, n)}
         for n, each in errors.items():
             paper = PAPER_RMSE[n] if name == "xihenet" else None
             of_all = measured(each, rng, groups=rooms)
@@ -53,11 +48,6 @@ def _takes(name: str, n: int) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _errors(name: str, n: int, clouds: Sequence[UnitSphereCloud], found: Sequence[View]) -> list[float]:
-    estimator = estimators.load(name, n, "ldr")
-    return [shc_rmse(estimator.estimate(c), view.place.true_ldr) for c, view in zip(clouds, found, strict=True)]
 
 
 STUDY = Study(

@@ -8,16 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from xihe_blender.lab.paper.clouds import View, several_views
+from xihe_blender.lab.paper.clouds import View, several_views, view_errors
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio, of_rooms
-from xihenet import estimators
 from xihenet.edge.batching import Inference, Job
 from xihenet.edge.bench import random_cloud, times_ms
-from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, PointCloud
 from xihenet.sampling import sample_farthest, sample_uniform
-from xihenet.sphere import AnchorLattice
 
 N_POINTS, N_SEEDS = 1280, 5
 MEAN, FARTHEST = "mean predictor", "pointar on farthest points"
@@ -40,10 +37,11 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     rooms, rng = [view.room for view in found], options.rng
     of_mean = np.array([shc_rmse(_mean_elsewhere(view, found), view.place.true_ldr) for view in found])
     cases = of_rooms("views", rooms)
-    errors = {MEAN: of_mean, **{name: _errors(name, found) for name in ("ambient", "projection", "xihenet", "lattice")}}
-    drawn = [_errors("pointar", found, _drawn(found, sample_uniform, seed)) for seed in range(N_SEEDS)]
+    errors = {MEAN: of_mean}
+    errors |= {name: view_errors(name, found) for name in ("ambient", "projection", "xihenet", "lattice")}
+    drawn = [view_errors("pointar", found, points=_drawn(found, sample_uniform, seed)) for seed in range(N_SEEDS)]
     errors["pointar"] = np.mean(drawn, axis=0)
-    errors[FARTHEST] = _errors("pointar", found, _drawn(found, sample_farthest, 0))
+    errors[FARTHEST] = view_errors("pointar", found, points=_drawn(found, sample_farthest, 0))
     for name, each in errors.items():
         of_all = measured(each, rng, groups=rooms)
         sentence = ERROR + SEEDS if name == "pointar" else ERROR
@@ -61,16 +59,6 @@ def _mean_elsewhere(view: View, found: Sequence[View]) -> ArrayF64:
     rooms = {one.room for one in found} - {view.room} or {view.room}
     means = [np.mean([one.place.true_ldr for one in found if one.room == room], axis=0) for room in rooms]
     return np.asarray(np.mean(means, axis=0))
-
-
-def _errors(name: str, found: Sequence[View], points: Sequence[PointCloud] | None = None) -> ArrayF64:
-    """Of light from each view's cloud, and from `points` or all that it shows."""
-    estimator, lattice = estimators.load(name, N_POINTS, "ldr"), AnchorLattice(N_POINTS)
-    errors = []
-    for view, seen in zip(found, points or [view.points for view in found], strict=True):
-        context = EstimateContext(view.frame, seen, view.place.position_m, None, view.exposure)
-        errors.append(shc_rmse(estimator.estimate(view.cloud(lattice), context), view.place.true_ldr))
-    return np.array(errors)
 
 
 def _drawn(found: Sequence[View], sample: Callable[..., PointCloud], seed: int) -> list[PointCloud]:

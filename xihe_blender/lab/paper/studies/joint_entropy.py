@@ -16,13 +16,11 @@ from functools import partial
 import numpy as np
 
 from xihe_blender.errors import UserError
-from xihe_blender.lab.paper.clouds import views, with_truth
+from xihe_blender.lab.paper.clouds import view_errors, views, with_truth
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio
-from xihenet import estimators
 from xihenet.camera import unproject_frame
 from xihenet.camera_path.placement import evenly_chosen, rank_correlation, upward_points
 from xihenet.completeness import ENTROPY_SIZES, joint_entropy
-from xihenet.metrics import shc_rmse
 from xihenet.records import ArrayF64, PointCloud
 from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
 from xihenet.sphere import AnchorLattice
@@ -220,13 +218,9 @@ def against_accuracy(sessions: Sequence[Session], options: StudyOptions) -> Iter
     if not found:
         return
     bits = np.array([joint_entropy(view.points.points_m, view.place.position_m, sizes=SIZES) for view in found])
-    lattice, places = AnchorLattice(N_ANCHORS), [(view.room, view.place.name) for view in found]
-    clouds = [view.cloud(lattice) for view in found]
+    places = [(view.room, view.place.name) for view in found]
     for name in ("lattice", "xihenet"):
-        estimator = estimators.load(name, N_ANCHORS, "ldr")
-        lights = [estimator.estimate(cloud) for cloud in clouds]
-        errors = np.array([shc_rmse(light, view.place.true_ldr) for light, view in zip(lights, found, strict=True)])
-        pairs = np.stack([bits, errors], axis=1)
+        pairs = np.stack([bits, view_errors(name, found, N_ANCHORS)], axis=1)
         what = f"entropy of a view and the error of {name}"
         by_place = {place: _correlation(pairs[[one == place for one in places]]) for place in dict.fromkeys(places)}
         within = {place: value for place, value in by_place.items() if np.isfinite(value)}
