@@ -14,8 +14,9 @@ from jsonschema import Draft202012Validator
 
 from xihe_blender.io import run_results
 from xihe_blender.io.json_records import ABSENT, INLINE, as_json, from_json, json_schema
-from xihe_blender.io.kept_files import kept_json, kept_or_made
+from xihe_blender.io.kept_files import kept_json, kept_or_done, kept_or_made
 from xihe_blender.io.run_results import RunResults
+from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.results import batch_schema
 from xihe_blender.lab.frontier.records import Frontier
 from xihenet.io.json_files import parse_json, read_json
@@ -201,3 +202,18 @@ def test_a_kept_file_that_is_damaged_or_lost_is_made_again(tmp_path, caplog, con
     assert caplog.messages == ([] if content is None else [f"{path} is damaged and is made again"])
     assert kept_or_made(path, read, lambda: {"a": 1.5}) == 1.5
     assert kept_or_made(path, read, lambda: {"a": 2.5}) == kept_json(path, read) == 1.5
+
+
+@pytest.mark.parametrize("content", ["", '{"a": "b"}', "[1]", None])
+def test_a_job_makes_what_is_not_kept_and_nothing_else(tmp_path, content):
+    def job():
+        steps.append("made")
+        yield
+        return {"a": 1.5}
+
+    path, steps = tmp_path / "kept.json", []
+    if content is not None:
+        path.write_text(content)
+    for _ in range(2):
+        assert run_blocking(kept_or_done(dict[str, float], path, job())) == {"a": 1.5}
+    assert steps == ["made"]

@@ -15,7 +15,7 @@ from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.paper import run as paper
-from xihe_blender.lab.paper.records import Place, Row, Session, Study, StudyOptions, counted, measured
+from xihe_blender.lab.paper.records import Place, Row, Session, Study, StudyOptions, measured
 from xihe_blender.lab.paper.report import paper_markdown, report_page
 from xihe_blender.lab.paper.studies.anchors_uniform import GridAnchors
 from xihe_blender.lab.paper.studies.probes import inside_rim
@@ -72,7 +72,6 @@ def test_a_figure_without_unit_interval_or_cases_is_refused(wrong):
 def test_one_case_has_no_interval():
     with pytest.raises(ValueError, match="two cases"):
         measured([1.0], np.random.default_rng(0))
-    assert counted(16) == (16, 16, 16, 1)
 
 
 def test_a_study_is_measured_once_and_again_for_another_seed(tmp_path):

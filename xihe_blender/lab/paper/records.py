@@ -230,11 +230,6 @@ def of_rooms(what: str, rooms: Sequence[str]) -> str:
     return f"{what} of {format_count(len(set(rooms)), 'room')}"
 
 
-def counted(value: float, n: int = 1) -> Measured:
-    """What is known without a doubt, such as the bytes of a record."""
-    return Measured(value, value, value, n)
-
-
 def measured_ratio(
     first: ArrayLike,
     second: ArrayLike,

@@ -8,17 +8,7 @@ from functools import partial
 import numpy as np
 
 from xihe_blender.lab.paper.clouds import several_views
-from xihe_blender.lab.paper.records import (
-    Row,
-    Session,
-    Study,
-    StudyOptions,
-    Work,
-    counted,
-    measured,
-    measured_ratio,
-    of_rooms,
-)
+from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, Work, measured, measured_ratio, of_rooms
 from xihenet.codec import METHODS, EncodingMethod, encode_cloud
 from xihenet.edge.bench import times_ms
 from xihenet.sphere import AnchorLattice
@@ -46,7 +36,7 @@ def measure(sessions: Sequence[Session], options: StudyOptions) -> Iterator[Row]
     rooms, ms = [view.room for view in found], {}
     for method, (unit, paper_bytes, paper_ms) in PAPER.items():
         record = METHODS[method].bytes_per_record
-        yield Row(f"{method}: of an anchor", "bytes", *counted(record), "same work", RECORD, unit, "record")
+        yield Row(f"{method}: of an anchor", "bytes", record, record, record, 1, "same work", RECORD, unit, "record")
         sizes = [len(encode_cloud(cloud, method)) for cloud in clouds]
         of_all = measured(sizes, rng, groups=rooms)
         sentence = ODD if method == "uint8_float16" else BYTES
