@@ -12,7 +12,7 @@ from xihe_blender.lab.rooms.arrange import FLAT_M, blocks_hole, collide, zones
 from xihe_blender.lab.rooms.light_plan import DARK
 from xihe_blender.lab.rooms.outline import Outline, Rect, alcove_plan, box_plan, l_plan, turned
 from xihe_blender.lab.rooms.room_data import Room
-from xihe_blender.lab.rooms.rooms import is_by_day, is_varied, room_generator, sample_room
+from xihe_blender.lab.rooms.rooms import BY_DAY, VARIED, is_chosen, room_generator, sample_room
 from xihe_blender.lab.rooms.varied_rooms import CLUTTER, SIZES, sample_varied_room
 from xihenet.training.rooms import split_of
 
@@ -143,12 +143,12 @@ def test_some_varied_rooms_are_lit_by_large_and_dim_lights_alone():
     assert len(soft) > 0.15 * len(varied_rooms())
 
 
-def test_training_rooms_alone_are_varied_and_a_larger_share_adds_to_a_smaller_one():
-    few, many = ({i for i in range(500) if is_varied(3, i, share)} for share in (0.2, 0.5))
+@pytest.mark.parametrize("key", [VARIED, BY_DAY])
+def test_training_rooms_alone_are_varied_or_by_day_and_a_larger_share_adds_to_a_smaller_one(key):
+    none, few, many, every = ({i for i in range(500) if is_chosen(3, i, share, key)} for share in (0, 0.2, 0.5, 1))
     trained = {i for i in range(500) if split_of((3, i)) == "train"}
-    assert few < many < trained
+    assert not none and few < many < every == trained
     assert len(few) == pytest.approx(0.2 * len(trained), rel=0.25)
-    assert {i for i in range(500) if is_varied(3, i, 1.0)} == trained and not any(is_varied(3, i, 0.0) for i in trained)
 
 
 @pytest.mark.parametrize("plan", PLANS)
@@ -194,8 +194,3 @@ def test_a_room_by_day_is_the_same_room_with_its_lamps_off_and_one_without_windo
             assert by_day.regime not in DARK and not any(lamp.watts for lamp in by_day.lamps)
         else:
             assert by_day == usual and any(lamp.watts for lamp in usual.lamps)
-
-
-def test_training_rooms_alone_are_by_day():
-    chosen = {i for i in range(500) if is_by_day(3, i, 1.0)}
-    assert chosen == {i for i in range(500) if split_of((3, i)) == "train"} and not is_by_day(3, min(chosen), 0.0)

@@ -19,7 +19,7 @@ from xihe_blender.capture.render import RenderSettings, render_passes
 from xihe_blender.capture.scanner import first_layer, open_scanner, phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.lab.rooms.build_room import build_room
-from xihe_blender.lab.rooms.rooms import is_by_day, is_varied, room_generator, sample_room, walk_generator
+from xihe_blender.lab.rooms.rooms import BY_DAY, VARIED, is_chosen, room_generator, sample_room, walk_generator
 from xihe_blender.lab.rooms.settings import BuildSettings
 from xihe_blender.lab.rooms.store import FORMAT_VERSION, METERING, ArrayF16, StoredRoom, as_float16
 from xihe_blender.lab.rooms.varied_rooms import sample_varied_room
@@ -45,8 +45,8 @@ def make_room(settings: BuildSettings, index: int) -> StoredRoom:
     """
     seed = settings.seed
     rng = room_generator(seed, index)
-    usual = functools.partial(sample_room, by_day=is_by_day(seed, index, settings.by_day))
-    sample = sample_varied_room if is_varied(seed, index, settings.varied) else usual
+    usual = functools.partial(sample_room, by_day=is_chosen(seed, index, settings.by_day, BY_DAY))
+    sample = sample_varied_room if is_chosen(seed, index, settings.varied, VARIED) else usual
     for _ in range(MAX_REDRAWS):
         room = sample(rng)
         scene = build_room(room)

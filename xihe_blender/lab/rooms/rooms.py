@@ -26,6 +26,9 @@ KINDS = {
 }  # fmt: skip
 """Of each kind its share of the rooms, and the least and the largest width and length."""
 
+VARIED, BY_DAY = 2, 3
+"""Keys of rooms that are varied, and of those that have no light but what comes through their windows."""
+
 CORNER_M, DOOR_TOP_M = 0.12, 2.02
 EXPOSURE_GAIN, EXPOSURE_SPREAD = 1.35, 0.12
 """Median of what a phone gives more light than our metering, which takes the low end of the meters' range, and the
@@ -42,17 +45,8 @@ def walk_generator(seed: int, index: int) -> Rng:
     return np.random.default_rng(np.random.SeedSequence([seed, index], spawn_key=(1,)))
 
 
-def is_varied(seed: int, index: int, share: float) -> bool:
-    """Whether a room is one of the `share` that are varied, of the training rooms alone; a larger share adds some."""
-    return _is_chosen(seed, index, share, 2)
-
-
-def is_by_day(seed: int, index: int, share: float) -> bool:
-    """The same for rooms that have no light but what comes through their windows."""
-    return _is_chosen(seed, index, share, 3)
-
-
-def _is_chosen(seed: int, index: int, share: float, key: int) -> bool:
+def is_chosen(seed: int, index: int, share: float, key: int) -> bool:
+    """Whether a room is one of the `share` of that `key`, of the training rooms alone; a larger share adds some."""
     draw = np.random.default_rng(np.random.SeedSequence([seed, index], spawn_key=(key,))).random()
     return split_of((seed, index)) == "train" and bool(draw < share)
 
