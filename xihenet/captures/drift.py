@@ -245,7 +245,9 @@ def _angles_deg(points_m: ArrayF32 | ArrayF64, first_m: ArrayF64, second_m: Arra
 
 def _weighted_median(values: ArrayF64, weights: ArrayF64) -> ArrayF64:
     """(C,) of values (K, C) with weights (K, C), of which none is negative and some are not 0."""
-    order = np.argsort(values, axis=0)
-    summed = np.cumsum(np.take_along_axis(weights, order, 0), axis=0)
-    at = (summed < summed[-1] / 2).sum(axis=0)
-    return np.take_along_axis(values, np.take_along_axis(order, at[None], 0), 0)[0]
+    medians = []
+    for of_channel, weight in zip(values.T, weights.T, strict=True):
+        order = np.argsort(of_channel)
+        summed = np.cumsum(weight[order])
+        medians.append(of_channel[order[np.searchsorted(summed, summed[-1] / 2)]])
+    return np.array(medians)
