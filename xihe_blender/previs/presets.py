@@ -1,4 +1,4 @@
-"""Presets: how much rendering effort a run spends, by name, and what panel and command line say of each.
+"""Presets: how finely a run renders, by name, and what the panel says of each.
 
 They are points on the front of error against time (`xihe frontier`, docs/frontier.md). Their noise targets are what
 `living_room`, the noisiest of the example scenes, has with some 4, 16 and 64 samples per capture at 256x192. The others
@@ -6,8 +6,7 @@ would reach them with 1, 2 and 8. In `courtyard`, where the denoiser errs more t
 together: so balanced takes 4 samples at least and accurate 24. An estimate is off by some 30 % of the light, to which
 noise of 6, 3 and 1.5 % adds, in quadrature, 2 %, 0.5 % and 0.1 % of that.
 
-All that is known of a preset is its row here. Nothing needs NumPy or Blender, since the command line lists presets
-without either.
+Nothing here needs NumPy or Blender, since the command line lists presets without either.
 """
 
 from __future__ import annotations
@@ -25,8 +24,9 @@ class Preset:
     summary : what the panel says of it, without a full stop
     noise_target : relative error of the nine SH coefficients that rendering may cause in captures
     max_samples : Cycles samples per pixel for captures, at most; see `sample_count` for how many are taken
-    min_samples : the same, at least
-    path_samples : the same where there is no position yet that a pilot could measure the noise at, see `captured_path`
+    min_samples : Cycles samples per pixel for captures, at least
+    path_samples : Cycles samples per pixel for captures of a path alone, without a position at which a pilot could
+        measure the noise, see `captured_path`
     probe_samples : pictures that the reference probe takes, at most; see `reference_probe`
     comparison_samples : Cycles samples per pixel, fixed; 32 at least, since the denoiser takes light of lamps that
         mirrors and shiny things show for noise: with 8 a method's error came out too small, see docs/limits.md
@@ -77,4 +77,4 @@ PRESETS = {
         comparison_samples=128,
     ),
 }
-"""By name, the coarsest first."""
+"""By name, from coarse to fine."""
