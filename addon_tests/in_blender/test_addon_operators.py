@@ -382,9 +382,16 @@ def test_how_long_says_the_time_of_the_run(tmp_path):
         ("frame_end", 3),
         ("others", {"projection"}),
         ("phone_file", "slow.toml"),
+        ("target", "ldr"),
+        ("metering", "key"),
     ):
         before = getattr(chosen, name)
         assert known_times(bpy.context) == known
         setattr(chosen, name, other)
         assert known_times(bpy.context) == ("", ""), f"measured before {name} was {other}"
         setattr(chosen, name, before)
+    effect = chosen.effects.add()
+    effect.name = "denoising"
+    assert known_times(bpy.context) == known
+    effect.override = "OFF"
+    assert known_times(bpy.context) == ("", "")

@@ -18,6 +18,7 @@ OF_TIME = (
     "estimator",
     "others",
     "preset",
+    "target",
     "light",
     "captures_path",
     "phone",
@@ -25,6 +26,9 @@ OF_TIME = (
     "network",
     "use_own_size",
     "size",
+    "use_own_exposure",
+    "exposure",
+    "metering",
     "use_own_frames",
     "frame_start",
     "frame_end",
@@ -66,7 +70,8 @@ def timed(scene: bpy.types.Scene) -> str:
         for value in chosen
     ]
     names = [item.name for item in virtual_objects(scene)]
-    return repr([scene.name, scene.frame_start, scene.frame_end, scene.frame_step, names, values])
+    switched = [(row.name, row.override) for row in scene.xihe.effects if row.override != "AUTO"]
+    return repr([scene.name, scene.frame_start, scene.frame_end, scene.frame_step, names, values, switched])
 
 
 def known_times(context: bpy.types.Context) -> tuple[str, str]:
