@@ -104,6 +104,8 @@ def test_the_lists_are_those_of_the_science():
             assert [name for name, *_ in given] == names
             assert len({number for *_, number in given}) == len(given)
             assert all(description for _, _, description, *_ in given)
+        for items, stored in ((choices.preset_items, ("accurate", 2)), (choices.trigger_items, ("USUAL", 4))):
+            assert stored in [(name, number) for name, *_, number in items(None, None)], "as in files saved before"
         for name in estimators.names():
             scene.xihe.estimator = name
             assert scene.xihe.estimator == name

@@ -53,9 +53,15 @@ OVERRIDES = (
 )
 
 
+IN_EARLIER_FILES = {"draft": 0, "balanced": 1, "accurate": 2} | {
+    name: place for place, name in enumerate(("split", "light", "reference", "every-frame", USUAL_TRIGGER))
+}
+"""Numbers of the choices whose lists had places before they had names."""
+
+
 def number_of(name: str) -> int:
     """The number by which Blender stores the choice `name`."""
-    return zlib.crc32(name.encode()) & 0x7FFFFFFF
+    return IN_EARLIER_FILES.get(name, zlib.crc32(name.encode()) & 0x7FFFFFFF)
 
 
 def _listed(make: Callable[[], list[Item]]) -> Callable[[object, bpy.types.Context | None], list[Item]]:
