@@ -181,6 +181,9 @@ def test_a_lost_run_can_be_discarded(project):
     job = opened_project(project)
     assert bpy.ops.xihe.discard_run() == {"FINISHED"}
     assert job.unshown_run == "" and not (project / "xihe_runs" / LATER).exists()
+    assert (project / "xihe_runs").exists(), "another run is in it"
+    saved_for_run(bpy.context.scene, project / "xihe_runs" / "room_20260101-120000", {}).discard()
+    assert not (project / "xihe_runs").exists()
 
 
 def test_a_lost_run_is_offered_where_its_file_was_moved_together_with_it(project, tmp_path):

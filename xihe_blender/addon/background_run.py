@@ -25,7 +25,7 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.addon.preferences import folders_with_runs
-from xihe_blender.addon.runs_folder import found_folder, last_part
+from xihe_blender.addon.runs_folder import found_folder, last_part, remove_if_empty
 from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import is_locked
@@ -160,9 +160,10 @@ class BackgroundRun:
                 os.kill(state.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
 
     def discard(self) -> None:
-        """Stop it, if it is under way, and delete its folder."""
+        """Stop it, if it is under way, and delete its folder, and the folder for runs if it was the last."""
         self.stop()
         shutil.rmtree(self.folder, ignore_errors=True)
+        remove_if_empty(self.folder.parent)
 
     def follow(self) -> Job[None]:
         """Yield its Progress until its end, then show its results in the open file. Closing this leaves it running.

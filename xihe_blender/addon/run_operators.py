@@ -13,7 +13,7 @@ from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob, edge_server_asked, in_thread
 from xihe_blender.addon.preferences import runs_folder
-from xihe_blender.addon.runs_folder import new_run_folder, shown_runs
+from xihe_blender.addon.runs_folder import new_run_folder, remove_if_empty, shown_runs
 from xihe_blender.errors import UserError
 from xihe_blender.io.old_runs import format_old_runs, old_runs, remove_old_runs
 from xihe_blender.jobs import Job, Progress
@@ -178,6 +178,7 @@ class XIHE_OT_remove_old_runs(Action, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str | None:
         removed = remove_old_runs(runs_folder(), shown_runs())
+        remove_if_empty(runs_folder())
         # Blender draws its preferences anew only when one of them changes.
         for window in context.window_manager.windows:
             for area in window.screen.areas:

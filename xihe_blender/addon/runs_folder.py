@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
-from xihe_blender.addon.preferences import folders_with_runs, runs_folder
+from xihe_blender.addon.preferences import RUNS, folders_with_runs, runs_folder
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import cut_stem
 
@@ -45,6 +45,13 @@ def new_run_folder(scene: bpy.types.Scene) -> Path:
         raise UserError(
             f"cannot write to {parent} ({error.strerror}): choose another Runs Folder in the add-on's preferences"
         ) from error
+
+
+def remove_if_empty(parent: Path) -> None:
+    """Remove the folder for runs if it is ours and holds nothing any more."""
+    if parent.name == RUNS:
+        with contextlib.suppress(OSError):  # It holds something.
+            parent.rmdir()
 
 
 def shown_runs() -> set[Path]:
