@@ -665,5 +665,16 @@ def test_a_view_is_put_back_as_it_was_and_as_far_as_an_earlier_version_noted_it(
         assert (space.shading.type, view.view_perspective, space.overlay.show_floor) == ("SOLID", "PERSP", True)
         assert space.overlay.show_relationship_lines == (before == noted)
         assert tuple(view.view_location) == (at_m if before == noted else (0.0, 0.0, 0.0))
+    # As a file that was saved there opens: in Solid, with nothing known of its views.
     light_operators._views.clear()
+    light_operators._show_rendered(area)
+    light_operators._views.clear()
+    space.shading.type = "SOLID"
+    light_operators._show_again(area, noted)
+    assert space.shading.type == "RENDERED" and light_operators._views == {area.as_pointer(): noted}
+    # A view that the artist has turned into another is left alone.
+    light_operators._put_back(area, noted)
+    light_operators._views.clear()
+    light_operators._show_again(area, noted)
+    assert space.shading.type == "SOLID" and not light_operators._views
     light_operators._showed.clear()

@@ -175,7 +175,22 @@ def _after_update(*_: Any) -> None:
 def _after_load(*_: Any) -> None:
     _views.clear()
     _showed.clear()
+    for window in bpy.context.window_manager.windows:
+        if VIEW_BEFORE in window.scene:
+            for area in window.screen.areas:
+                _show_again(area, window.scene[VIEW_BEFORE])
     _listen()
+
+
+def _show_again(area: bpy.types.Area, before: str) -> None:
+    """Render a view that showed the lit scene when its file was saved: Blender opens it in Solid."""
+    space = area.spaces.active
+    if area.type != "VIEW_3D" or space.region_3d.view_perspective != "CAMERA":
+        return
+    if not any(getattr(space.overlay, line) for line in LINES):
+        _views[area.as_pointer()] = before
+        if space.shading.type == "SOLID":
+            _show_rendered(area)
 
 
 def _listen() -> None:
