@@ -7,6 +7,8 @@ from addon_runs import registered_addon
 from tiny_scenes import box, room_with_a_virtual_sphere
 
 from xihe_blender.addon import overlay
+from xihe_blender.apply.datablocks import LightOf, world_name
+from xihe_blender.apply.sh_worlds import make_sh_world
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -39,6 +41,27 @@ def test_an_object_that_a_run_would_refuse_shows_no_positions_and_the_others_do(
     bpy.context.view_layer.update()
     shown = shown_positions(scene)
     assert [position.name for position in shown] == ["Ball"]
+
+
+def test_a_keyed_object_that_was_moved_since_the_run_has_no_share_of_it():
+    scene = room_with_a_virtual_sphere()
+    ball = bpy.data.objects["Ball"]
+    bpy.context.view_layer.update()
+    (there,) = shown_positions(scene)
+    with registered_addon():
+        LightOf({"Ball": there.place}).write(make_sh_world(world_name("Ball")))
+        assert overlay.shares_seen(scene, [there], {"Ball": 0.7}) == {"Ball": 0.7}
+        ball.location.x += 0.2
+        bpy.context.view_layer.update()
+        (followed,) = shown_positions(scene)
+        assert overlay.shares_seen(scene, [followed], {"Ball": 0.7}) == {"Ball": 0.7}, "until its light is there"
+        ball.keyframe_insert("location", frame=1)
+        (keyed,) = shown_positions(scene)
+        assert overlay.shares_seen(scene, [keyed], {"Ball": 0.7}) == {}
+        scene.xihe.follows_objects = False
+        assert overlay.shares_seen(scene, [followed], {"Ball": 0.7}) == {}
+        LightOf({"Ball": there.place}, live={"Ball": (0.4, None)}).write(bpy.data.worlds[world_name("Ball")])
+        assert overlay.shares_seen(scene, [keyed], {"Ball": 0.7}) == {"Ball": 0.4}
 
 
 def test_an_overlay_is_never_made_in_background():

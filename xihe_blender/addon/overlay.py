@@ -12,15 +12,16 @@ at module level, `_overlay`, holds the handle that has to be given back. In back
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import bpy
 
 from xihe_blender.addon.look_operators import advice_for
+from xihe_blender.addon.polls import may_move
 from xihe_blender.addon.runs_folder import last_run
-from xihe_blender.apply.datablocks import moved_positions
+from xihe_blender.apply.datablocks import SAME_PLACE_M, moved_positions, still_positions
 from xihe_blender.errors import UserError
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -49,10 +50,14 @@ SHAFT_PX = 4.0
 
 
 class Position(NamedTuple):
-    """One estimation position, named as in results.json, in the world: Blender units, as the view has them."""
+    """One estimation position, named as in results.json, in the world: Blender units, as the view has them.
+
+    `may_move` says whether keys, drivers, constraints or physics could move its object.
+    """
 
     name: str
     place: tuple[float, float, float]
+    may_move: bool = False
 
 
 class Overlay:
@@ -78,10 +83,9 @@ class Overlay:
         if scene.name not in self.positions:
             self.positions[scene.name] = shown_positions(scene, context.evaluated_depsgraph_get())
         run = last_run(scene.xihe.run_folder)
-        coverage = dict(run.last_coverage) if run else {}
-        coverage |= {name: seen for name, (seen, _) in moved_positions(scene).items()}
+        shares = shares_seen(scene, self.positions[scene.name], run.last_coverage if run else {})
         for position, x, y in on_screen(context, self.positions[scene.name]):
-            seen = coverage.get(position.name)
+            seen = shares.get(position.name)
             draw_disc(x, y, colour_of(seen))
             draw_label(x, y, position.name if seen is None else f"{position.name}  {seen:.0%}", taken)
         for row in [row for row in advice_for(context) if row.has_look]:
@@ -105,8 +109,25 @@ def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> l
             continue
         for name, position_m in positions_m.items():
             x, y, z = (position_m / metres).tolist()
-            found.append(Position(name, (x, y, z)))
+            found.append(Position(name, (x, y, z), may_move(item)))
     return found
+
+
+def shares_seen(
+    scene: bpy.types.Scene, positions: Sequence[Position], coverage: Mapping[str, float]
+) -> dict[str, float]:
+    """Share of the sphere that was seen from each of `positions`, by name; `coverage` has those of the run.
+
+    Without objects that were moved since and are not followed: nothing is known of where they are.
+    """
+    stood, metres, found = still_positions(scene), metres_per_unit(scene), dict(coverage)
+    for position in positions:
+        is_followed = scene.xihe.follows_objects and not position.may_move
+        place_m = [metres * along for along in position.place]
+        was_m = stood.get(position.name, place_m)
+        if not is_followed and math.dist(place_m, was_m) >= SAME_PLACE_M:
+            found.pop(position.name, None)
+    return found | {name: seen for name, (seen, _) in moved_positions(scene).items()}
 
 
 def on_screen(context: bpy.types.Context, positions: Sequence[Position]) -> Iterator[tuple[Position, float, float]]:

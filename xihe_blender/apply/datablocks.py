@@ -113,8 +113,16 @@ def applied_worlds(scene: bpy.types.Scene) -> dict[str, bpy.types.World]:
 
 def moved_positions(scene: bpy.types.Scene) -> dict[str, tuple[float, float | None]]:
     """Coverage and expected error, by position, of light of `scene` that was estimated after a run."""
-    lights = [of for world in applied_worlds(scene).values() if (of := LightOf.read(world)) is not None]
-    return {name: (coverage, error) for light in lights for name, (coverage, error) in light.live.items()}
+    return {name: (coverage, error) for of in _lights_of(scene) for name, (coverage, error) in of.live.items()}
+
+
+def still_positions(scene: bpy.types.Scene) -> dict[str, Sequence[float]]:
+    """Where the light of `scene` is of, in metres by position, for objects that do not move along the path."""
+    return {name: place for of in _lights_of(scene) if not of.moves for name, place in of.places_m.items()}
+
+
+def _lights_of(scene: bpy.types.Scene) -> list[LightOf]:
+    return [of for world in applied_worlds(scene).values() if (of := LightOf.read(world)) is not None]
 
 
 def has_anything(scene: bpy.types.Scene) -> bool:
