@@ -88,8 +88,13 @@ class Overlay:
             seen = shares.get(position.name)
             draw_disc(x, y, colour_of(seen))
             draw_label(x, y, position.name if seen is None else f"{position.name}  {seen:.0%}", taken)
+        labelled: set[tuple[float, ...]] = set()
         for row in [row for row in advice_for(context) if row.has_look]:
-            draw_look(context, row, taken)
+            start = draw_look(context, row)
+            # Objects beside each other ask for a look from the same place.
+            if start is not None and (spot := (row.frame, *row.place_m)) not in labelled:
+                labelled.add(spot)
+                draw_label(*start, f"look at frame {row.frame}", taken)
 
 
 def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Position]:
@@ -140,8 +145,8 @@ def on_screen(context: bpy.types.Context, positions: Sequence[Position]) -> Iter
             yield position, pixel.x, pixel.y
 
 
-def draw_look(context: bpy.types.Context, row: Any, taken: list[Box]) -> None:
-    """An arrow from where the phone should stand to where it should look, and the frame at which."""
+def draw_look(context: bpy.types.Context, row: Any) -> tuple[float, float] | None:
+    """An arrow from where the phone should stand to where it should look; the pixel of its start, None behind us."""
     from bpy_extras.view3d_utils import location_3d_to_region_2d
 
     metres = metres_per_unit(context.scene)
@@ -150,10 +155,10 @@ def draw_look(context: bpy.types.Context, row: Any, taken: list[Box]) -> None:
     ]
     start, tip = (location_3d_to_region_2d(context.region, context.region_data, end) for end in ends)
     if start is None or tip is None:
-        return
+        return None
     draw_triangles(arrow_corners((start.x, start.y), (tip.x, tip.y)), LOOK)
     draw_disc(start.x, start.y, LOOK)
-    draw_label(start.x, start.y, f"look at frame {row.frame}", taken)
+    return start.x, start.y
 
 
 def arrow_corners(start: tuple[float, float], tip: tuple[float, float]) -> list[tuple[float, float]]:
