@@ -54,6 +54,20 @@ def test_the_last_run_is_read_out_of_its_results(run_folder):
     assert rows["Estimates"] == "3 in 2 frames"
 
 
+def test_a_copy_of_a_scene_says_which_scene_its_results_are_of(run_folder):
+    run = reader.last_run(str(run_folder))
+    with registered_addon():
+        ran, other = bpy.data.scenes.new("Ran"), bpy.data.scenes.new("Copy")
+        run = replace(run, scene=replace(run.scene, name=ran.name))
+        assert panels.made_of(ran, run) == ""
+        assert panels.made_of(other, run) == f"These results are of scene {ran.name!r}"
+        ran.xihe.run_made_of = other.xihe.run_made_of = "14:03"
+        assert panels.made_of(ran, run) == "These results are of the scene as it was at 14:03"
+        assert panels.made_of(other, run) == f"These results are of scene {ran.name!r} as it was at 14:03"
+        bpy.data.scenes.remove(ran)
+        assert panels.made_of(other, run) == "These results are of the scene as it was at 14:03", "renamed since"
+
+
 def test_the_tooltip_of_unknown_lights_says_how_many_the_server_did_not_answer(run_folder):
     for counts, said in (({"nothing_seen": 2}, False), ({"no_answer": 2}, True)):
         invalid = runs.SUMMARY["invalid"] | {"lights": counts}

@@ -338,10 +338,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         if run is None:
             sentence(context, layout, missing_run(settings.run_folder))
             return
-        if settings.run_made_of:
-            sentence(
-                context, layout, f"These results are of the scene as it was at {settings.run_made_of}", icon="INFO"
-            )
+        if said := made_of(context.scene, run):
+            sentence(context, layout, said, icon="INFO")
         if not run.summary.n_active_frames:
             sentence(context, layout, "No virtual object was in view of the camera in any frame", icon="ERROR")
         for said in shown_warnings(run):
@@ -385,6 +383,14 @@ def ended_elsewhere(context: bpy.types.Context) -> str:
     name = context.window_manager.xihe.ended_in
     is_elsewhere = name in bpy.data.scenes and name != context.scene.name
     return f"The run of scene {name!r} is finished: go there to see it" if is_elsewhere else ""
+
+
+def made_of(scene: bpy.types.Scene, run: RunResults) -> str:
+    """What the results are of, where that is not `scene` as it is now: a copy of a scene shows the run of the first."""
+    is_copy = run.scene.name != scene.name and run.scene.name in bpy.data.scenes
+    when = f" as it was at {scene.xihe.run_made_of}" if scene.xihe.run_made_of else ""
+    of = f"scene {run.scene.name!r}" if is_copy else "the scene"
+    return f"These results are of {of}{when}" if is_copy or when else ""
 
 
 def shown_warnings(run: RunResults) -> list[str]:
