@@ -348,6 +348,22 @@ def test_what_was_there_stays(tmp_path):
     assert remembered == ChosenCapture(folder.resolve())
 
 
+@pytest.mark.parametrize("marked", [(-5, 1), (1, 2), (100, 200)])
+def test_markers_with_other_cameras_do_not_take_over(tmp_path, marked):
+    folder = recorded(tmp_path / "walk", walk(CENTRED))
+    scene = empty_scene()
+    for frame in marked:
+        other = phone(scene, (0, 0, frame), (0, 1, 1))
+        scene.timeline_markers.new(other.name, frame=frame).camera = other
+    made = run_blocking(import_capture(scene, ChosenCapture(folder)))
+    assert "its camera, with a marker" in " ".join(made.said)
+    for frame in range(scene.frame_start, scene.frame_end + 1):
+        scene.frame_set(frame)
+        assert scene.camera == made.camera
+    kept = [marker.frame for marker in scene.timeline_markers if marker.camera not in (None, made.camera)]
+    assert kept == [frame for frame in marked if not scene.frame_start <= frame <= scene.frame_end]
+
+
 SET_BY_AN_IMPORT = {
     *("camera", "frame_start", "frame_end", "frame_step", "frame_current", "frame_current_final", "frame_float"),
     *("render/fps", "render/fps_base", "render/resolution_x", "render/resolution_y"),

@@ -252,14 +252,26 @@ def _play(
     render.pixel_aspect_x, render.pixel_aspect_y = pixel_aspect([one.camera for one in numbered.values()])
     render.film_transparent = True
     scene.camera = camera
+    has_marker = _keep_markers_away(scene, camera)
     scene.frame_set(scene.frame_start)
     aspect = ""
     if render.pixel_aspect_x != render.pixel_aspect_y:
         aspect = f" with a pixel aspect of {render.pixel_aspect_x:.4g} to {render.pixel_aspect_y:.4g}"
     return (
         f"Set for it: frames {scene.frame_start} to {scene.frame_end} at {render.fps} a second, {size[0]}x{size[1]} "
-        f"pixels{aspect}, its camera, a transparent film."
+        f"pixels{aspect}, its camera{', with a marker' if has_marker else ''}, a transparent film."
     )
+
+
+def _keep_markers_away(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
+    """Have no marker switch to another camera in the scene's range; whether one of its own was needed for that."""
+    bound = [marker for marker in scene.timeline_markers if marker.camera is not None]
+    for marker in bound:
+        if scene.frame_start <= marker.frame <= scene.frame_end:
+            marker.camera = None
+    if bound:  # Before the first marker, Blender looks through its camera too.
+        scene.timeline_markers.new(camera.name, frame=scene.frame_start).camera = camera
+    return bool(bound)
 
 
 def first_looked_at_m(frame: RgbdFrame) -> ArrayF64:
