@@ -14,7 +14,7 @@ looks the other way, from its middle.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,11 +62,12 @@ def _pixel(place: ArrayF64, size: int) -> ArrayInt:
     return np.clip(np.floor(place * size).astype(np.intp), 0, size - 1)
 
 
-@lru_cache(maxsize=24)
-def _pixel_integrals(size: int, order: int, part: Literal["all", "inside", "beyond"]) -> ArrayF64:
+@lru_cache(maxsize=8)
+def _pixel_integrals(size: int, order: int) -> tuple[ArrayF64, ArrayF64, ArrayF64]:
     """((order + 1)^2, size * size) each basis function's integral over what a pixel tells of. Read-only.
 
-    All of the sphere; or what lies inside of RIM; or, for a picture turned over about X, what lies beyond it.
+    All of the sphere; what lies inside of RIM; and, for a picture turned over about X, what lies beyond it. All three
+    at once, since the basis functions take most of the time.
 
     A quarter of the ball is looked at, the rest are its mirror images.
     """
@@ -75,18 +76,19 @@ def _pixel_integrals(size: int, order: int, part: Literal["all", "inside", "beyo
     place = np.arange(0.5, size * cells / 2) / (size * cells / 2)
     directions, on_ball = _directions(*np.meshgrid(place, place))
     seen = directions[on_ball]
-    weight = np.pi / len(seen)
-    if part != "all":
-        is_inside = np.sqrt((1 - seen[:, 2]) / 2) <= 1 - 2 * RIM / size
-        seen = seen[is_inside if part == "inside" else ~is_inside]
-    rows, columns = ball_pixels(seen * (1, 1, -1) if part == "beyond" else seen, size)
-    values = basis(seen, order) * weight
-    pixels = rows * size + columns
-    quarters = [np.bincount(pixels, of_one, size * size).reshape(size, size) for of_one in values.T]
-    pictures = np.array(list(map(_mirrored, quarters, *_parities(order))))
-    integrals: ArrayF64 = (pictures[:, ::-1] if part == "beyond" else pictures).reshape(len(quarters), -1)
-    integrals.flags.writeable = False
-    return integrals
+    values = basis(seen, order).T * (np.pi / len(seen))
+    is_inside = np.sqrt((1 - seen[:, 2]) / 2) <= 1 - 2 * RIM / size
+
+    def integrals(counted: ArrayBool | slice, *, is_turned: bool = False) -> ArrayF64:
+        rows, columns = ball_pixels(seen[counted] * (1, 1, -1 if is_turned else 1), size)
+        pixels = rows * size + columns
+        quarters = [np.bincount(pixels, of_one[counted], size * size).reshape(size, size) for of_one in values]
+        pictures = np.array(list(map(_mirrored, quarters, *_parities(order))))
+        found: ArrayF64 = (pictures[:, ::-1] if is_turned else pictures).reshape(len(quarters), -1)
+        found.flags.writeable = False
+        return found
+
+    return integrals(slice(None)), integrals(is_inside), integrals(~is_inside, is_turned=True)
 
 
 def _parities(order: int) -> tuple[ArrayInt, ArrayInt]:
@@ -111,11 +113,10 @@ def project_mirror_ball(radiance: ArrayLike, order: int = 2, *, turned: ArrayLik
     if pixels are NaN or infinite.
     """
     image = _checked(radiance)
+    of_all, inside, beyond = _pixel_integrals(len(image), order)
     if turned is None:
-        return _pixel_integrals(len(image), order, "all") @ image.reshape(-1, 3)
-    inside: ArrayF64 = _pixel_integrals(len(image), order, "inside") @ image.reshape(-1, 3)
-    beyond: ArrayF64 = _pixel_integrals(len(image), order, "beyond") @ _checked(turned).reshape(-1, 3)
-    return np.add(inside, beyond)
+        return of_all @ image.reshape(-1, 3)
+    return np.add(inside @ image.reshape(-1, 3), beyond @ _checked(turned).reshape(-1, 3))
 
 
 def _checked(radiance: ArrayLike) -> ArrayF64:
