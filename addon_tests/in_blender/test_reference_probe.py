@@ -93,6 +93,14 @@ def test_a_lamp_of_ten_metres_fills_half_of_the_sphere():
     assert facing == pytest.approx(level * np.pi, rel=0.03)
 
 
+def test_a_glowing_floor_below_fills_half_of_the_sphere_100_km_from_the_origin_too():
+    scene, position_m = dark_scene(), POSITION + (1e5, 0, 0)
+    box(scene, "Floor", position_m - (0, 0, 1.05), (20, 20, 2), material("Glow", (1, 1, 1), emission=0.5))
+    light = measured(scene, position_m=position_m)
+    for found in (light.hdr, light.ldr):
+        assert found[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(0.5 * 2 * np.pi, rel=0.02)
+
+
 def scene_with_a_glowing_disc(radius_m):
     """A disc of radiance GLOW straight above the position, in the dark."""
     scene = dark_scene()
