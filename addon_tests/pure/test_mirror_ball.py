@@ -102,11 +102,16 @@ def test_what_is_no_mirror_ball_is_refused(picture, words):
         project_mirror_ball(picture)
 
 
-@pytest.mark.parametrize("size", [1, 3, 8, 47])
-def test_a_quarter_of_the_ball_tells_what_the_whole_tells(size):
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 16])
+def test_constant_light_comes_from_everywhere_however_small_the_ball(size):
+    np.testing.assert_allclose(project_mirror_ball(np.ones((size, size, 3)))[1:], 0, atol=1e-3)
+
+
+@pytest.mark.parametrize(("size", "cells"), [(1, 512), (3, 170), (8, 64), (47, 10)])
+def test_a_quarter_of_the_ball_tells_what_the_whole_tells(size, cells):
     """The plain way: every cell of the whole picture, one by one."""
     radiance = np.random.default_rng(size).uniform(0, 4, (size, size, 3))
-    cells, on_ball = ball_directions(size * 8)
+    cells, on_ball = ball_directions(size * cells)
     seen = cells[on_ball]
     rows, columns = ball_pixels(seen, size)
     weight = 4 * np.pi / len(seen)
