@@ -84,6 +84,9 @@ def relative_noise(lights: ArrayF64, smallest: float) -> float | None:
     """
     if len(lights) < 2:
         return None
+    # By a power of two, which rounds nothing: the squares of light as it comes may not fit float64.
+    exponent = -np.frexp(np.abs(lights).max(initial=smallest))[1]
+    lights, smallest = np.ldexp(lights, exponent), float(np.ldexp(smallest, exponent))
     variance = lights.var(axis=0, ddof=1).sum() / len(lights)
     return float(np.sqrt(variance) / max(float(np.linalg.norm(lights.mean(axis=0))), smallest))
 

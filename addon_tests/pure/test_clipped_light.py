@@ -105,6 +105,9 @@ def test_the_noise_that_is_told_is_the_noise():
     means = np.array([run.mean(axis=0) for run in runs])
     real = np.sqrt(((means - means.mean(axis=0)) ** 2).sum(axis=(1, 2)).mean()) / np.linalg.norm(means.mean(axis=0))
     assert told == pytest.approx(real, rel=0.2)
+    told = relative_noise(runs[0], 1e-3)
+    for unit in (1e-250, 1e250):
+        assert relative_noise(runs[0] * unit, 1e-3 * unit) == pytest.approx(told)
 
 
 def test_no_sample_is_refused():

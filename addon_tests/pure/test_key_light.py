@@ -280,6 +280,10 @@ def test_times_its_certainty_a_key_light_with_noise_is_nearest_to_itself(expecte
     errors = {times: np.square(times * certainty * noisy - bands).mean() for times in (0.9, 1, 1.1)}
     assert min(errors, key=errors.get) == 1 and 0 < certainty < 1
     assert certainty_of(key, None) == certainty_of(key, 0.0) == 1
+    for unit in (1e-300, 1e200):
+        assert certainty_of(replace(key, irradiance=key.irradiance * unit), expected_error * unit) == pytest.approx(
+            certainty
+        )
     dark = KeyLight(key.direction, np.zeros(3), 0.1, True)
     assert certainty_of(dark, 0.1) == certainty_of(dark, 0.0) == certainty_of(key, 1e300) == 0
     of_both = mean_light([ObjectLight(np.eye(9, 3), key), ObjectLight(np.eye(9, 3), key)]).key

@@ -165,7 +165,7 @@ def certainty_of(key: KeyLight, expected_error: float | None) -> float:
     """
     if expected_error is None:
         return 1.0
-    size = math.sqrt(np.square(sh_of_key_light(key)[1:]).mean())
+    size = math.hypot(*sh_of_key_light(key)[1:].flat) / math.sqrt(24)  # Its squares may not fit float64.
     error_of_size = expected_error / size if size else math.inf
     return 1 / (1 + error_of_size * error_of_size)
 
