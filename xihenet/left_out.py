@@ -29,7 +29,7 @@ from xihenet.estimators import Estimator
 from xihenet.paired import CONFIDENCE, held_at_most, paired_difference
 from xihenet.records import ArrayF64, RgbdFrame, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
-from xihenet.sh_basis import basis
+from xihenet.sh_basis import basis, checked_sh
 from xihenet.sphere import AnchorLattice
 
 N_PARTS = 3
@@ -47,14 +47,15 @@ def left_out_error(sh_radiance: ArrayF64, given: UnitSphereCloud, left_out: Unit
     """RMSE of the light (9, 3) in the directions that `left_out` shows and `given` does not; radiance is cut to 0 to 1.
 
     The light carries the session's exposure. None where these directions are less than `SMALLEST_SHARE` of the sphere.
-    ValueError for clouds of different numbers of anchors.
+    ValueError for clouds of different numbers of anchors, and for coefficients that are not finite.
     """
+    coefficients, order = checked_sh(sh_radiance)
     if len(given) != len(left_out):
         raise ValueError(f"left out: expected as many anchors in both clouds, got {len(given)} and {len(left_out)}")
     is_asked = left_out.is_set & ~given.is_set
     if is_asked.mean() < SMALLEST_SHARE:
         return None
-    said = basis(AnchorLattice(len(given)).directions[is_asked], 2) @ sh_radiance
+    said = basis(AnchorLattice(len(given)).directions[is_asked], order) @ coefficients
     shown = srgb_to_linear(left_out.srgb[is_asked].astype(np.float64))
     return float(np.sqrt(np.mean((said.clip(0, 1) - shown) ** 2)))
 

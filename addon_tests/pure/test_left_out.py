@@ -56,6 +56,8 @@ def test_radiance_beyond_black_and_white_is_cut_as_pictures_are():
     assert left_out_error(np.eye(9)[:, :1] * np.full(3, 90.0), seen(half(0)), left_out) < 1e-6
 
 
-def test_clouds_of_different_sizes_are_refused():
+def test_clouds_of_different_sizes_and_light_that_is_not_finite_are_refused():
+    with pytest.raises(ValueError, match="1 NaN"):
+        left_out_error(np.where(np.arange(27).reshape(9, 3) == 4, np.nan, LIGHT), seen(half(0)), seen(~half(0)))
     with pytest.raises(ValueError, match="got 1280 and 512"):
         left_out_error(LIGHT, seen(half(0)), UnitSphereCloud.empty(512))
