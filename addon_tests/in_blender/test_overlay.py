@@ -60,8 +60,9 @@ def test_a_keyed_object_that_was_moved_since_the_run_has_no_share_of_it():
         assert overlay.shares_seen(scene, [keyed], {"Ball": 0.7}) == {}
         scene.xihe.follows_objects = False
         assert overlay.shares_seen(scene, [followed], {"Ball": 0.7}) == {}
-        LightOf({"Ball": there.place}, live={"Ball": (0.4, None)}).write(bpy.data.worlds[world_name("Ball")])
+        LightOf({"Ball": keyed.place}, live={"Ball": (0.4, None)}).write(bpy.data.worlds[world_name("Ball")])
         assert overlay.shares_seen(scene, [keyed], {"Ball": 0.7}) == {"Ball": 0.4}
+        assert overlay.shares_seen(scene, [there], {"Ball": 0.7}) == {}
 
 
 def test_an_overlay_is_never_made_in_background():

@@ -12,7 +12,7 @@ at module level, `_overlay`, holds the handle that has to be given back. In back
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -118,21 +118,20 @@ def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> l
     return found
 
 
-def shares_seen(
-    scene: bpy.types.Scene, positions: Sequence[Position], coverage: Mapping[str, float]
-) -> dict[str, float]:
+def shares_seen(scene: bpy.types.Scene, positions: Sequence[Position], coverage: dict[str, float]) -> dict[str, float]:
     """Share of the sphere that was seen from each of `positions`, by name; `coverage` has those of the run.
 
     Without objects that were moved since and are not followed: nothing is known of where they are.
     """
-    stood, metres, found = still_positions(scene), metres_per_unit(scene), dict(coverage)
+    stood, metres = still_positions(scene), metres_per_unit(scene)
+    found = coverage | {name: seen for name, (seen, _) in moved_positions(scene).items()}
     for position in positions:
         is_followed = scene.xihe.follows_objects and not position.may_move
         place_m = [metres * along for along in position.place]
         was_m = stood.get(position.name, place_m)
         if not is_followed and math.dist(place_m, was_m) >= SAME_PLACE_M:
             found.pop(position.name, None)
-    return found | {name: seen for name, (seen, _) in moved_positions(scene).items()}
+    return found
 
 
 def on_screen(context: bpy.types.Context, positions: Sequence[Position]) -> Iterator[tuple[Position, float, float]]:
@@ -146,7 +145,7 @@ def on_screen(context: bpy.types.Context, positions: Sequence[Position]) -> Iter
 
 
 def draw_look(context: bpy.types.Context, row: Any) -> tuple[float, float] | None:
-    """An arrow from where the phone should stand to where it should look; the pixel of its start, None behind us."""
+    """An arrow from where the phone should stand to where it should look; its start on screen, if it is in view."""
     from bpy_extras.view3d_utils import location_3d_to_region_2d
 
     metres = metres_per_unit(context.scene)
