@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import shutil
 from dataclasses import dataclass, replace
 
 import bpy
@@ -101,6 +102,19 @@ def finished_run(out, settings=SMALL, make_scene=walk):
     curves = {world.name: f_curves(world.node_tree)[0] for world in bpy.data.worlds if lights_by_sh(world)}
     keys = {name: [int(point.co[0]) for point in curve.keyframe_points] for name, curve in curves.items()}
     return Finished(RunOutputs(out, "untitled"), results, renders, keys)
+
+
+OF_THE_ROOM = ("exposure.json", "sample_count.json", "survey.json", "capture_*", "times_*", "surfaces_*", "reference_*",
+               "captured_*", "probe_*")  # fmt: skip
+"""Files of a run that no estimator, phone or network changes."""
+
+
+def with_renders_of(other, folder):
+    """`folder`, in which a run of another estimator, phone or network finds the renders of one in `other`."""
+    for file in (file for pattern in OF_THE_ROOM for file in other.glob(f"*/{pattern}")):
+        (folder / file.parent.name).mkdir(parents=True, exist_ok=True)
+        shutil.copy(file, folder / file.parent.name)
+    return folder
 
 
 def run_some_steps(scene, out, n_steps, settings=SMALL):

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from addon_runs import registered_addon, small_panel_runs, walk_for_the_panel
-from previs_runs import SMALL, run, walk
+from previs_runs import SMALL, run, walk, with_renders_of
 
 from addon_tests.pure.edge_servers import NEEDS_TORNADO, EdgeServer
 from xihe_blender.addon.error_budget import XIHE_OT_measure_budget
@@ -32,12 +32,11 @@ def lights(results):
 
 
 @pytest.mark.slow
-def test_a_run_over_the_service_is_the_local_one(tmp_path):
-    settings = replace(SMALL, frames=(1, 2))
-    here = run(walk(), tmp_path / "here", settings)
+def test_a_run_over_the_service_is_the_local_one(finished, tmp_path):
+    here = finished.results
     with EdgeServer(inference=Inference("lattice")) as server:
         url = f"http://127.0.0.1:{server.port}"
-        there = run(walk(), tmp_path / "there", replace(settings, backend=url))
+        there = run(walk(), with_renders_of(finished.outputs.folder, tmp_path), replace(SMALL, backend=url))
     assert here["settings"]["backend"] is None and there["settings"]["backend"] == url
     assert any("Estimates came from an edge service: lattice at" in note for note in there["notes"])
     local, edge = lights(here), lights(there)

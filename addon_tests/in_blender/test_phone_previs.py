@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from previs_runs import IPAD, SMALL, counted_renders, files_below, finished_run, run, walk
+from previs_runs import IPAD, SMALL, counted_renders, files_below, finished_run, run, walk, with_renders_of
 from results_schema import without_times
 from tiny_scenes import room_with_a_virtual_sphere
 
@@ -32,8 +32,9 @@ FAST = replace(SMALL, estimator="projection", n_anchors=320)
 
 
 @pytest.fixture(scope="module")
-def over_lte(tmp_path_factory):
-    return finished_run(tmp_path_factory.mktemp("lte") / "out", replace(SMALL, network="lte"))
+def over_lte(finished, tmp_path_factory):
+    out = with_renders_of(finished.outputs.folder, tmp_path_factory.mktemp("lte") / "out")
+    return finished_run(out, replace(SMALL, network="lte"))
 
 
 def rows(results):
@@ -94,7 +95,9 @@ def test_the_errors_of_the_report_are_those_of_whole_sessions(finished, ipad, tm
     errors = ipad.results["phone"]["shc_rmse"]
     assert errors["all_on"] == ipad.results["summary"]["mean_shc_rmse"]
     assert errors["perfect"] == finished.results["summary"]["mean_shc_rmse"]
-    quiet = run(walk(), tmp_path, replace(IPAD, effect_choices={"edge_bleeding": "off"}))
+    quiet = run(
+        walk(), with_renders_of(ipad.outputs.folder, tmp_path), replace(IPAD, effect_choices={"edge_bleeding": "off"})
+    )
     assert quiet["summary"]["mean_shc_rmse"] == errors["without"]["edge_bleeding"] != errors["all_on"]
     text = ipad.outputs.report.read_text(encoding="utf-8")
     assert f"{errors['all_on']:.4f}" in text and f"{errors['without']['edge_bleeding']:.4f}" in text

@@ -22,6 +22,7 @@ from previs_runs import (
     run_some_steps,
     unfinished_files,
     walk,
+    with_renders_of,
 )
 from results_schema import read_strictly, without_times
 from tiny_scenes import room_with_a_virtual_sphere, sphere
@@ -76,7 +77,8 @@ def test_metrics_follow_from_the_files(finished):
 
 @pytest.mark.slow
 def test_another_estimator_beside_the_chosen_one_says_and_shows_what_it_does_when_it_is_chosen(finished, tmp_path):
-    beside = run(walk(), tmp_path, replace(SMALL, estimator="projection", others=("lattice", "ambient", "projection")))
+    settings = replace(SMALL, estimator="projection", others=("lattice", "ambient", "projection"))
+    beside = run(walk(), with_renders_of(finished.outputs.folder, tmp_path), settings)
     assert beside["settings"]["others"] == ["lattice"]
     assert list(beside["comparison"]) == ["projection", "lattice", "ambient", "truth"]
     for chosen, entry in zip(finished.results["frames"], beside["frames"], strict=True):
