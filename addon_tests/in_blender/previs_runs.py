@@ -41,7 +41,10 @@ class PlainPrevis(QuickProbes):
 
 @dataclass(frozen=True)
 class QuickPrevis(PlainPrevis):
-    """And comparisons of few samples: for tests that look at neither closely."""
+    """And comparisons of few samples, and captures of one sample not denoised: for tests that look at none closely."""
+
+    def capture(self, size, samples):
+        return replace(super().capture(size, samples), denoise=self.samples != 1)
 
     def comparison(self, size):
         return replace(super().comparison(size), samples=2)

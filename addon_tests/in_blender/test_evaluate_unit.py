@@ -156,7 +156,7 @@ def test_truth_has_no_error_and_an_eager_trigger_never_asks_less_often(whole):
     [("every-frame", 1, 0.0, True), ("light", len(FACTORS), RULES["light"].light_theta, False)],
 )
 def test_trials_have_the_trigger_that_was_asked_for(tmp_path, file, rule, n_thetas, theta, fires):
-    settings = replace(SMALL, trigger=rule, estimators=("projection",), phones=("perfect",), light="sh")
+    settings = replace(SMALL, trigger=rule, estimators=("projection",), phones=("perfect",), light="sh", samples=2)
     (trial,) = run_blocking(evaluate_unit(file, tmp_path, settings, SEED)).trials
     (own,) = (one for one in trial.trigger_sweep if one.factor == 1)
     assert (len(trial.trigger_sweep), own.theta) == (n_thetas, theta)

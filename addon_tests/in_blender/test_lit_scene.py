@@ -42,7 +42,7 @@ from xihenet.light.key_light import rest_of
 from xihenet.records import Intrinsics
 from xihenet.trigger import RULES
 
-SETTINGS = PlainPrevis(**DRAFT, estimator="projection", samples=16)
+SETTINGS = PlainPrevis(**DRAFT, estimator="projection", samples=2)
 
 
 @dataclass
@@ -416,7 +416,7 @@ def test_what_it_renders_leaves_the_users_pictures_alone(ran, place, name):
 
 
 def test_a_larger_picture_is_opaque_and_as_bright_along_its_rim_as_inside_and_a_wider_one_its_middle(shown, tmp_path):
-    shown.cycles.samples = 1
+    shown.cycles.samples = 16
     lit = rendered_picture(shown, tmp_path, "RGBA")
     assert lit.shape == (48, 64, 4) and (lit[..., 3] == 1).all()
     for rim, inside in ((lit[0], lit[1]), (lit[-1], lit[-2]), (lit[:, 0], lit[:, 1]), (lit[:, -1], lit[:, -2])):
