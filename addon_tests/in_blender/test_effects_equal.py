@@ -24,9 +24,9 @@ EVERYTHING_ON = {}
 """Pictures with everything on, by what makes the scene; rendered once."""
 
 
-def pictures_of(scene, *plans, samples=4):
+def pictures_of(scene, *plans):
     """(16, 24, 32, 3) by plan, over the same seeds, on one thread."""
-    settings = RenderSettings((32, 24), samples, denoise=False)
+    settings = RenderSettings((32, 24), 4, denoise=False)
     found = []
     for plan in plans:  # One after the other: whenever Cycles turns to another scene it takes that in anew.
         with working_scene(scene, "Equal", replace(settings, light_transport=cycles_settings(plan))) as working:
@@ -73,7 +73,7 @@ def test_in_a_closed_bright_room_the_plan_cuts_no_bounce_that_shows_and_two_are_
     required = required_effects(scene)
     plan = everything_on(scene, required)
     two = plan | {"diffuse bounces": replace(plan["diffuse bounces"], parameters={"diffuse_bounces": 2})}
-    full, planned, cut = pictures_of(scene, plan, plan_effects(required, {}), two, samples=8)
+    full, planned, cut = pictures_of(scene, plan, plan_effects(required, {}), two)
     found = agreement(full, planned)
     assert found.holds and abs(found.relative_difference) < 2e-3, found
     missed = agreement(full, cut)
