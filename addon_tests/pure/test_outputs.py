@@ -4,8 +4,10 @@ import contextlib
 import errno
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.lab.batch.grid import planned_units
 from xihenet.io.whole_files import written_whole
@@ -27,6 +29,17 @@ def test_a_file_that_is_read_just_then_is_written_a_moment_later(tmp_path, monke
     with contextlib.nullcontext() if n_refusals == 3 else pytest.raises(OSError, match=r"progress\.json"):
         write_json(path, {"done": 1})
     assert [file.name for file in tmp_path.iterdir()] == (["progress.json"] if n_refusals == 3 else [])
+
+
+def test_radiance_that_the_disk_has_no_room_for_is_not_there_and_named(tmp_path, monkeypatch):
+    def cut_short(path, _):
+        path.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("xihe_blender.io.exr.write_exr", cut_short)
+    with pytest.raises(OSError, match=r"light\.exr"):
+        write_radiance(tmp_path / "light.exr", np.zeros((2, 2, 3), np.float32))
+    assert not any(tmp_path.iterdir())
 
 
 def test_what_is_made_of_a_file_with_a_very_long_name_can_be_written(tmp_path):
