@@ -68,6 +68,16 @@ def test_a_copy_of_a_scene_says_which_scene_its_results_are_of(run_folder):
         assert panels.made_of(other, run) == "These results are of the scene as it was at 14:03", "renamed since"
 
 
+def test_results_name_the_phone_and_the_network_that_were_simulated(run_folder):
+    run = reader.last_run(str(run_folder))
+    assert panels.simulated_phone(run) == ""
+    of_wifi = replace(run, settings=replace(run.settings, network="wifi"))
+    assert panels.simulated_phone(of_wifi) == "Network: Wi-Fi"
+    chosen = replace(of_wifi.settings, phone="/phones/mine.toml")
+    of_both = replace(of_wifi, settings=chosen, phone=replace(run.phone, name="Our Phone"))
+    assert panels.simulated_phone(of_both) == "Phone: Our Phone. Network: Wi-Fi"
+
+
 def test_the_tooltip_of_unknown_lights_says_how_many_the_server_did_not_answer(run_folder):
     for counts, said in (({"nothing_seen": 2}, False), ({"no_answer": 2}, True)):
         invalid = runs.SUMMARY["invalid"] | {"lights": counts}

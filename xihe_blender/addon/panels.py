@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from xihe_blender.addon.background_run import BackgroundRun
+from xihe_blender.addon.choices import DEFAULT_PHONE
 from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.addon.look_operators import advice_for
 from xihe_blender.addon.planning_operators import calibration_line, known_times
@@ -346,6 +347,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             sentence(context, layout, said, icon="ERROR")
         if run.recording is not None:
             sentence(context, layout, run.recording.said, icon="INFO")
+        if said := simulated_phone(run):
+            sentence(context, layout, said, icon="INFO")
         _draw_moved(context, layout)
         column = layout.column(align=True)
         for name, value, meaning in result_rows(run):
@@ -391,6 +394,16 @@ def made_of(scene: bpy.types.Scene, run: RunResults) -> str:
     when = f" as it was at {scene.xihe.run_made_of}" if scene.xihe.run_made_of else ""
     of = f"scene {run.scene.name!r}" if is_copy else "the scene"
     return f"These results are of {of}{when}" if is_copy or when else ""
+
+
+def simulated_phone(run: RunResults) -> str:
+    """The phone and the network that were simulated, of which others may be chosen by now; else nothing."""
+    from xihenet.phone import LINKS
+
+    phone = [] if run.settings.phone == DEFAULT_PHONE else [f"Phone: {run.phone.name}"]
+    link = LINKS.get(run.settings.network or "")
+    network = [] if link is None else [f"Network: {link.label}"]
+    return ". ".join(phone + network)
 
 
 def shown_warnings(run: RunResults) -> list[str]:
