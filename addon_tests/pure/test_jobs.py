@@ -76,8 +76,8 @@ def seconds_left(*steps):
 
 
 def test_the_time_left_follows_from_the_pace_without_the_first_step():
-    steps = [(Progress(0, 4, ""), 0), (Progress(1, 4, ""), 30), (Progress(2, 4, ""), 40), (Progress(3, 4, ""), 50)]
-    assert seconds_left(*steps) == [None, None, 20, 10]
+    steps = [(Progress(done, 6, ""), elapsed_s) for done, elapsed_s in enumerate((0, 30, 40, 42, 46))]
+    assert seconds_left(*steps) == [None, None, 40, 18, 8], "the middle of 10, 2 and 4 s"
 
 
 def test_stages_to_come_go_at_the_pace_of_the_last_one_and_carry_as_much_set_up():

@@ -18,7 +18,7 @@ from xihe_blender.lab.paper import run as paper
 from xihe_blender.lab.paper.records import Place, Row, Session, Study, StudyOptions, measured
 from xihe_blender.lab.paper.report import paper_markdown, report_page
 from xihe_blender.lab.paper.studies.anchors_uniform import GridAnchors
-from xihe_blender.lab.paper.studies.probes import inside_rim
+from xihe_blender.lab.paper.studies.probes import inside_rim, spheres_error
 from xihenet import estimators
 from xihenet.edge.bench import seen_frame
 
@@ -210,6 +210,8 @@ def test_studies_of_rooms_say_what_they_lack(tmp_path, name):
         list(study.measure([SESSION], StudyOptions(True, 0, tmp_path)))
 
 
-def test_the_rim_of_a_sphere_is_left_out_of_its_picture():
+def test_the_rim_of_each_sphere_is_left_out_of_its_picture():
     inside = inside_rim(64)
     assert not inside[0].any() and inside[32, 32] and inside.mean() == pytest.approx(np.pi / 4 * 0.95**2, abs=0.01)
+    beside = np.concatenate([np.where(inside, error, 9.0) for error in (0, 0.3, 0.4)], axis=1)[..., None]
+    assert spheres_error(beside, np.zeros_like(beside)) == pytest.approx(0.5 / 3**0.5)

@@ -149,6 +149,7 @@ def test_training_rooms_alone_are_varied_or_by_day_and_a_larger_share_adds_to_a_
     trained = {i for i in range(500) if split_of((3, i)) == "train"}
     assert not none and few < many < every == trained
     assert len(few) == pytest.approx(0.2 * len(trained), rel=0.25)
+    assert many != {i for i in range(500) if is_chosen(3, i, 0.5, VARIED + BY_DAY - key)}
 
 
 @pytest.mark.parametrize("plan", PLANS)
