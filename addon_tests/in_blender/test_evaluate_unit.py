@@ -6,18 +6,20 @@ import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from previs_runs import N_FRAMES, counted_renders, files_below, run, survey, walk
 from tiny_scenes import saved
 
 from xihe_blender.apply.datablocks import LIT_SCENE
+from xihe_blender.compare.methods import Comparison
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.blender_process import write_result
 from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.results import FilesRead, read_result, result_file
-from xihe_blender.lab.batch.unit import FACTORS, evaluate_unit, step_ms
+from xihe_blender.lab.batch.results import WORST_KINDS, FilesRead, read_result, result_file, worst_picture
+from xihe_blender.lab.batch.unit import FACTORS, _record_frame, evaluate_unit, step_ms
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.io.json_files import read_json
 from xihenet.trigger import RULES
@@ -46,6 +48,15 @@ def test_what_the_first_frame_sets_up_is_no_part_of_a_step():
     frames = [SimpleNamespace(active=True, stage_ms={"sample": ms}, probes=[None]) for ms in (900.0, 10.0, 12.0)]
     assert step_ms(SimpleNamespace(frames=frames)) == 12.0
     assert step_ms(SimpleNamespace(frames=[])) is None
+
+
+def test_the_pictures_of_a_trial_are_those_of_its_worst_frame(tmp_path):
+    grey, done, kept = np.full((4, 6, 3), 0.2), {}, []
+    for frame, light in ((1, 0.3), (2, 0.5), (4, 0.4), (3, 0.4)):
+        compared = Comparison(grey, {"0": np.full_like(grey, light)}, np.ones((4, 6)), np.zeros((4, 6), bool), 0.0, {})
+        done[frame] = _record_frame(tmp_path, {frame: {"0": {}}}, frame, compared, done)
+        kept.append([worst_picture(tmp_path, 0, kind).read_bytes() for kind in WORST_KINDS])
+    assert kept[0] != kept[1] == kept[2] == kept[3]
 
 
 @pytest.fixture(scope="module")

@@ -161,7 +161,10 @@ def compare_unit(
         for frame in wanted[trial]:
             lights[frame][str(trial)] = chain.lights[frame][run.settings.estimator]
     methods = [str(trial) for trial in range(len(runs))]
-    read = lambda frame: kept_record(ComparedTrials, first.outputs.compared(frame))  # noqa: E731
+
+    def read(frame: int) -> ComparedTrials | None:
+        return kept_record(ComparedTrials, first.outputs.compared(frame))
+
     record = functools.partial(_record_frame, first.outputs.folder, lights)
     compared, sources = yield from compare_frames(first, methods, lights, read, record)
     by_trial = [
