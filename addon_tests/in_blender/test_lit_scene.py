@@ -672,9 +672,10 @@ def test_a_view_is_put_back_as_it_was_and_as_far_as_an_earlier_version_noted_it(
     space.shading.type = "SOLID"
     light_operators._show_again(area, noted)
     assert space.shading.type == "RENDERED" and light_operators._views == {area.as_pointer(): noted}
-    # A view that the artist has turned into another is left alone.
-    light_operators._put_back(area, noted)
+    # A view that the artist has turned into another is left alone: not through the camera, or with a line over it.
     light_operators._views.clear()
-    light_operators._show_again(area, noted)
-    assert space.shading.type == "SOLID" and not light_operators._views
+    for view.view_perspective, space.overlay.show_floor in (("PERSP", False), ("CAMERA", True)):
+        space.shading.type = "SOLID"
+        light_operators._show_again(area, noted)
+        assert space.shading.type == "SOLID" and not light_operators._views
     light_operators._showed.clear()
