@@ -303,6 +303,11 @@ def test_a_folder_of_another_run_is_refused(finished, change):
     assert files_below(finished.outputs.folder) == before
 
 
+def test_a_run_of_before_presets_had_words_is_taken_up(finished):
+    numbers = {"noise_target", "max_samples", "min_samples", "probe_samples", "comparison_samples", "comparison_step"}
+    assert json.loads(finished.outputs.settings.read_text("utf-8"))["preset"].keys() == numbers
+
+
 def test_a_run_of_the_same_estimator_with_other_weights_is_refused(copied):
     made = json.loads(copied.settings.read_text("utf-8"))
     shipped = Path(estimators.__file__).parents[1] / "weights" / "lattice_hdr.npz"

@@ -166,7 +166,7 @@ def made_of(
         "settings": asdict(settings)
         | {"phone": Path(settings.phone).stem, "trigger": asdict(settings.trigger_in_use), "objects": None},
         "phone": asdict(settings.profile),
-        "preset": asdict(settings.preset_values),
+        "preset": settings.preset_values.decides,
         "frames": plan.frames,
         "size": plan.size,
         "objects": [item.name for item in plan.objects],

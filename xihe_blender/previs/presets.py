@@ -11,7 +11,8 @@ Nothing here needs NumPy or Blender, since the command line lists presets withou
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +43,11 @@ class Preset:
     probe_samples: int
     comparison_samples: int
     comparison_step: int = 1
+
+    @property
+    def decides(self) -> dict[str, Any]:
+        """What decides a run's numbers: not its words, nor `path_samples`, which settings have where they are used."""
+        return {name: value for name, value in asdict(self).items() if name not in ("label", "summary", "path_samples")}
 
 
 DEFAULT = "balanced"
