@@ -37,7 +37,7 @@ white."""
 def notes_and_warnings(
     run: PreparedRun, frames: Sequence[FrameResult], phone: SimulatedPhone, recording: RecordingResult | None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """All, and those that ask the reader to check or change something."""
+    """All notes, and those that ask the reader to check or change something."""
     if recording is not None:
         warnings = recorded_warnings(run, frames)
         return (*recorded_notes(run, frames, recording), *warnings), tuple(warnings)
@@ -62,7 +62,7 @@ def notes_and_warnings(
 
 
 def recorded_warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
-    """The same of a run on a recording."""
+    """Of a run on a recording, what asks the reader to check or change something."""
     return [*unanswered_notes(frames), *(fault.said for fault in run.survey.faults)]
 
 
