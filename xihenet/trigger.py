@@ -148,12 +148,12 @@ NAMED_RULES: Mapping[Rule, NamedRule] = MappingProxyType(
         ),
         "light": NamedRule(
             "Light Differs",
-            "When the light of all that is known differs by a fifth",
+            "When the light of all that is known differs by a fifth from that at the last estimate",
             TriggerSettings(policy="light", light_theta=0.2),
         ),
         "reference": NamedRule(
             "As the Paper",
-            "By the paper's rule, which misses a lamp that dims",
+            "By the paper's rule, when any direction changes colour by much, which a lamp that dims does not",
             TriggerSettings(policy="reference"),
         ),
         "every-frame": NamedRule(
