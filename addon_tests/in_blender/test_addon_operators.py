@@ -367,6 +367,11 @@ def test_remove_old_runs_equals_its_function_and_keeps_what_any_scene_shows(tmp_
     assert bpy.ops.xihe.remove_old_runs() == {"FINISHED"}
     assert runs_in(tmp_path) == runs[:2]
     assert poll_message(bpy.ops.xihe.remove_old_runs) == "This file shows every run: there is none to remove"
+    scene.xihe.run_folder = other.xihe.run_folder = ""
+    assert bpy.ops.xihe.remove_old_runs() == {"FINISHED"} and tmp_path.exists(), "the user made it"
+    ours = make_run(tmp_path / "xihe_runs", FIRST).parent
+    enable_preferences().cache_folder = str(ours)
+    assert bpy.ops.xihe.remove_old_runs() == {"FINISHED"} and not ours.exists()
 
 
 @small_panel_runs()

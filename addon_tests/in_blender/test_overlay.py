@@ -63,6 +63,8 @@ def test_a_keyed_object_that_was_moved_since_the_run_has_no_share_of_it():
         LightOf({"Ball": keyed.place}, live={"Ball": (0.4, None)}).write(bpy.data.worlds[world_name("Ball")])
         assert overlay.shares_seen(scene, [keyed], {"Ball": 0.7}) == {"Ball": 0.4}
         assert overlay.shares_seen(scene, [there], {"Ball": 0.7}) == {}
+        LightOf({"Ball": keyed.place}, moves=True).write(bpy.data.worlds[world_name("Ball")])
+        assert overlay.shares_seen(scene, [there], {"Ball": 0.7}) == {"Ball": 0.7}, "along the path"
 
 
 def test_an_overlay_is_never_made_in_background():
