@@ -187,6 +187,12 @@ def test_an_estimate_is_applied_at_the_first_frame_after_its_arrival(finished, o
 
 
 @pytest.mark.slow
+def test_errors_without_the_network_are_those_of_estimates_that_are_there_at_once(finished, over_lte):
+    errors, at_once = over_lte.results["phone"]["shc_rmse"], finished.results["summary"]["mean_shc_rmse"]
+    assert errors["without"] == {"network": at_once} and errors["perfect"] == at_once != errors["all_on"]
+
+
+@pytest.mark.slow
 def test_the_timeline_is_keyed_where_estimates_arrive(finished, over_lte):
     arrivals = {p["arrival_frame"] for _, p in steps(over_lte.results) if p["name"] == "Ball"} - {None}
     assert set(over_lte.keys["Xihe Ball"]) >= arrivals > set()
