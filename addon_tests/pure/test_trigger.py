@@ -197,6 +197,12 @@ def test_every_policy_can_be_chosen_by_name():
     assert {rule.policy for rule in RULES.values()} == {*get_args(Policy)} and {*RULES} == {*get_args(Rule)}
 
 
+@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+def test_a_rule_has_one_threshold_whether_there_is_nothing_the_first_or_more_to_compare(rule):
+    pairs = ((None, cloud(False)), (None, cloud(True)), (cloud(True), cloud(True)))
+    assert {decide_trigger(*clouds, LATTICE, rule).threshold for clouds in pairs} == {rule.threshold}
+
+
 @pytest.mark.parametrize("rule", RULES)
 def test_all_thresholds_of_a_rule_are_scaled_and_nothing_else(rule):
     own = RULES[rule]
