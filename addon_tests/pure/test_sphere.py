@@ -148,6 +148,11 @@ def test_cells_with_two_candidates_are_halved_as_any_others(n_cells):
         np.testing.assert_array_equal(getattr(found, field.name), getattr(expected, field.name))
 
 
+def test_table_of_cells_counts_on_where_16_bits_end():
+    table = build_anchor_table(AnchorLattice(18000).directions, 256)
+    assert table.codes.max() == 18000 + len(table.lists) - 1 >= 2**16
+
+
 @pytest.mark.parametrize("n_cells", [0, 1, 3, 100])
 def test_table_of_cells_halves_down_to_a_power_of_two_only(n_cells):
     with pytest.raises(ValueError, match=f"power of two of at least 2, got {n_cells}"):
