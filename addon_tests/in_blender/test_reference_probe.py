@@ -101,6 +101,13 @@ def test_a_glowing_floor_below_fills_half_of_the_sphere_100_km_from_the_origin_t
         assert found[0, 0] * np.sqrt(4 * np.pi) == pytest.approx(0.5 * 2 * np.pi, rel=0.02)
 
 
+def test_light_from_everywhere_is_whole_100_km_from_the_origin_too():
+    scene = dark_scene()
+    set_world(scene, (0.5, 0.5, 0.5))
+    found = measured(scene, position_m=np.full(3, 1e5)).hdr
+    np.testing.assert_allclose(found, 0.5 * np.sqrt(4 * np.pi) * np.eye(9, 1) * np.ones(3), atol=2e-3)
+
+
 def scene_with_a_glowing_disc(radius_m):
     """A disc of radiance GLOW straight above the position, in the dark."""
     scene = dark_scene()

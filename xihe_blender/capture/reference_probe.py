@@ -53,8 +53,9 @@ CONE = 0.4
 """Size of the `Toon` closure, half the cone's angle over a right angle: 36 degrees, of which l = 2 keeps 0.73. A wider
 cone catches a lamp in more pixels, a narrower one keeps more of l = 2 where indirect light is noisy."""
 
-CONE_SEGMENTS = 128
-"""Of the ball around the camera: with 32 the light is 2 % off 100 km from the origin, where float32 rounds them."""
+CONE_SEGMENTS = 8
+"""Of the ball around the camera. Its shape counts for nothing, but float32 breaks small faces far from the origin: with
+128 light was up to 1.8 % too dark 100 km away, with 8 it is within 0.1 %."""
 
 SEED_STEP = 7919
 """Between the seeds of two runs' first pictures: more than a run ever takes."""
