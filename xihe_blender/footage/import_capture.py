@@ -2,7 +2,8 @@
 
 One new collection holds a camera on the phone's path with the pictures behind it, a scan of what they show, and an
 empty where the phone looked first. Of the scene only what belongs to playing the recording is set: frames, rate, size
-of the picture, camera, transparent film. All else stays as it was. Gravity is down, as far as the recording knows it.
+of the picture, camera, the markers that would switch it, transparent film. All else stays as it was. Gravity is down,
+as far as the recording knows it.
 """
 
 from __future__ import annotations
