@@ -22,7 +22,7 @@ from xihe_blender.lab.frontier.choices import LARGE_TABLE, QUICK, compute_choice
 from xihe_blender.lab.frontier.pictures import LIGHTS
 from xihe_blender.lab.frontier.points import family, group, groups
 from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, RenderChoice, StudySize
-from xihe_blender.lab.frontier.study import exhaustive_render, frontier
+from xihe_blender.lab.frontier.study import Prepared, exhaustive_render, frontier, is_whole
 from xihe_blender.previs.presets import PRESETS
 from xihenet.pareto import on_front
 
@@ -127,6 +127,13 @@ def test_a_frontier_that_is_done_is_not_measured_again(done):
     assert (done / "out" / "work" / "room" / "measured.json").read_bytes() == before
 
 
+HOLLOW = {
+    "probes_0003.json": b"{}",
+    "round_0003_1.json": b"{}",
+    "pictures_0003.json": b'{"choices": {}, "estimators": {}}',
+}
+
+
 def damaged(content, number):
     """The bytes of a file, damaged in a way that depends on the number: empty, cut short, one bit wrong, other JSON."""
     half = len(content) // 2
@@ -167,9 +174,16 @@ def test_every_damaged_file_is_named_and_made_again_but_once_and_a_stop_leaves_t
 
 
 def damage(files):
-    """Each in another way."""
+    """Each in another way; some are whole files of nothing."""
     for number, file in enumerate(files, start=2):
-        file.write_bytes(damaged(file.read_bytes(), number))
+        file.write_bytes(HOLLOW.get(file.name) or damaged(file.read_bytes(), number))
+
+
+@pytest.mark.parametrize("exposure", [0.0, -1.0, float("nan"), float("inf")])
+def test_what_was_prepared_has_an_exposure_and_every_preset(exposure):
+    prepared = Prepared(1.0, (), dict.fromkeys(PRESETS, RenderChoice((1, 1), 1)))
+    assert is_whole(prepared) and not is_whole(replace(prepared, presets={}))
+    assert not is_whole(replace(prepared, exposure=exposure))
 
 
 def test_a_folder_of_another_frontier_and_two_scenes_of_one_name_are_refused(done, tmp_path):

@@ -30,12 +30,13 @@ from tiny_scenes import room_with_a_virtual_sphere, sphere
 from xihe_blender.cli.previs import format_summary
 from xihe_blender.errors import UserError
 from xihe_blender.io.exr import read_radiance
-from xihe_blender.io.kept_files import kept_record
+from xihe_blender.io.kept_files import DAMAGED, kept_record
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.compare_path import OBJECTS, kept_comparison
 from xihe_blender.previs.kept_session import OF_CHAIN, open_kept_session
+from xihe_blender.previs.prepare import positive_exposure
 from xihe_blender.previs.results import AS_SET
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
@@ -257,6 +258,13 @@ def test_what_a_finished_run_has_lost_is_made_again_without_rendering(finished, 
     again, renders = run_again(copied)
     assert not renders and copied.report.exists()
     assert without_times(again) == without_times(finished.results) == without_times(read_strictly(copied.results))
+
+
+@pytest.mark.parametrize("exposure", [0, -1.0, float("nan"), float("inf"), "bright", [1.0]])
+def test_a_kept_exposure_is_a_positive_number(exposure):
+    assert positive_exposure({"exposure": 0.5}) == 0.5
+    with pytest.raises(DAMAGED):
+        positive_exposure({"exposure": exposure})
 
 
 @pytest.mark.slow

@@ -7,11 +7,10 @@ line shows, and its work is done once more.
 
 from __future__ import annotations
 
-import functools
 import logging
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from xihe_blender.io.json_records import Json, Record, as_json, read_record
 from xihe_blender.io.outputs import write_json
@@ -40,18 +39,36 @@ def kept_json(path: Path, read: Callable[[Json], Kept]) -> Kept | None:
     return read_kept(path, lambda file: read(read_json(file)))
 
 
-def kept_record(kind: type[Record], path: Path) -> Record | None:
-    """The record in the JSON file, as `read_kept`."""
-    return read_kept(path, functools.partial(read_record, kind))
+def kept_record(kind: type[Record], path: Path, is_whole: Callable[[Record], bool] = lambda _: True) -> Record | None:
+    """The record in the JSON file, as `read_kept`; one that is not whole is damaged."""
+
+    def read(file: Path) -> Record:
+        record = read_record(kind, file)
+        if not is_whole(record):
+            raise ValueError(f"{file}: expected all parts of {kind}")
+        return record
+
+    return read_kept(path, read)
 
 
-def kept_or_done(kind: type[Record], path: Path, job: Generator[Step, None, Record]) -> Generator[Step, None, Record]:
-    """A job: the record in the JSON file, which `job` makes if it is not there or is damaged."""
-    kept = kept_record(kind, path)
+def kept_or_done(
+    kind: type[Record],
+    path: Path,
+    job: Generator[Step, None, Record],
+    is_whole: Callable[[Record], bool] = lambda _: True,
+) -> Generator[Step, None, Record]:
+    """A job: the record in the JSON file, which `job` makes if it is not there, is damaged or is not whole."""
+    kept = kept_record(kind, path, is_whole)
     if kept is None:
         write_json(path, as_json((yield from job)))
         kept = read_record(kind, path)
     return kept
+
+
+def has_all(names: Iterable[str]) -> Callable[[Mapping[str, Any]], bool]:
+    """Whether a kept mapping has these names and no others."""
+    expected = set(names)
+    return lambda kept: kept.keys() == expected
 
 
 def kept_or_made(path: Path, read: Callable[[Json], Kept], make: Callable[[], Json]) -> Kept:

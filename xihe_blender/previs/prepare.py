@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +19,7 @@ from xihe_blender.capture.reference_probe import ProbeSettings, ReferenceProbe, 
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
 from xihe_blender.compare.methods import Comparer, OverRecording, open_comparer
-from xihe_blender.io.json_records import as_json
+from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_json, kept_or_done, kept_or_made, kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress, shown
@@ -166,14 +167,16 @@ def prepare_run(
     if not outputs.survey.exists():
         write_json(outputs.survey, as_json(survey))
     plan = survey.followed(plan)
-    exposure = settings.exposure or kept_json(outputs.exposure, lambda content: float(content["exposure"]))
+    exposure = settings.exposure or kept_json(outputs.exposure, positive_exposure)
     if exposure is None:
         metering = meter_exposure(scene, plan.frames, settings.seed, metering=settings.metering_in_force)
         exposure = yield from shown(metering, lambda _: Progress(0, 1, "metering the exposure"))
         write_json(outputs.exposure, {"exposure": exposure})
     choices = overrides_in_force(scene, settings.effect_choices)
     effects = kept_or_made(
-        outputs.effects, effects_from_json, lambda: effects_as_json(plan_effects(survey.required, choices))
+        outputs.effects,
+        lambda content: effects_kept(survey, content),
+        lambda: effects_as_json(plan_effects(survey.required, choices)),
     )
     transport = cycles_settings(effects)
     measuring = measure_sample_count(scene, plan, survey, settings, exposure, transport)
@@ -202,3 +205,19 @@ def above_noise(trigger: TriggerSettings, capture_change: float | None) -> Trigg
     if trigger.policy != "split" or trigger.theta == 0:
         return trigger
     return replace(trigger, theta=trigger.theta + NOISE_MARGIN * (capture_change or 0.0))
+
+
+def positive_exposure(content: Json) -> float:
+    """What a run keeps of its metering; ValueError where it is no exposure."""
+    exposure = float(content["exposure"])
+    if not 0 < exposure < math.inf:
+        raise ValueError(f"exposure: expected a positive factor, got {exposure}")
+    return exposure
+
+
+def effects_kept(survey: SceneSurvey, content: Json) -> dict[str, Effect]:
+    """The plan of effects that a run keeps; ValueError where it is not of the scene of `survey`."""
+    effects = effects_from_json(content)
+    if effects.keys() != survey.required.keys():
+        raise ValueError(f"effects: expected {', '.join(survey.required)}, got {', '.join(map(str, effects))}")
+    return effects

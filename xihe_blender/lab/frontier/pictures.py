@@ -22,7 +22,7 @@ import numpy as np
 
 from xihe_blender.compare.methods import Comparer, Comparison, display, open_comparer
 from xihe_blender.compare.shadows import ring_rmse
-from xihe_blender.io.kept_files import kept_or_done
+from xihe_blender.io.kept_files import has_all, kept_or_done
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import RenderCandidate
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, Walk
@@ -78,10 +78,15 @@ def measure_pictures(
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
     frames = list(study.views)[: study.study_size.n_picture_views]
+    of_choices, of_methods = has_all(choice.key for choice in choices), has_all(by.label for by in METHODS)
+
+    def is_whole(kept: PicturesTaken) -> bool:
+        return of_choices(kept.choices) and of_methods(kept.estimators)
+
     for number, frame in enumerate(frames):
         path = study.folder / f"pictures_{frame:04d}.json"
         job = part_of(len(frames), number, 1, _view_measured(study, walk, choices, frame))
-        rounds.append((yield from kept_or_done(PicturesTaken, path, job)))
+        rounds.append((yield from kept_or_done(PicturesTaken, path, job, is_whole)))
     if not rounds:
         return [], {}
     measured = []

@@ -20,7 +20,7 @@ import numpy as np
 
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner
-from xihe_blender.io.kept_files import kept_or_done, read_kept
+from xihe_blender.io.kept_files import has_all, kept_or_done, read_kept
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, FULL, QUICK, RenderCandidate
 from xihe_blender.lab.frontier.compute import ChoiceBackend, Light, light_of_frame, square_errors
@@ -120,6 +120,7 @@ def measure_rendering(
     rounds: list[tuple[Round, LightsBy]] = []
     n_seeds = study.study_size.n_seeds
     n_parts = len(study.views) * (1 + n_seeds)
+    is_whole = has_all(choice.key for choice in study.choices)
     for number, (frame, positions_m) in enumerate(study.views.items()):
         before = number * (1 + n_seeds)
         yield Progress(before, n_parts, f"rendering frame {frame} exhaustively")
@@ -127,7 +128,7 @@ def measure_rendering(
         for seed in range(n_seeds):
             job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, frame, seed, backends))
             path = study.folder / f"round_{frame:04d}_{seed}.json"
-            rounds.append(((yield from kept_or_done(Round, path, job)), truth))
+            rounds.append(((yield from kept_or_done(Round, path, job, is_whole)), truth))
     alone = [_measured(choice, COMPUTED_BY[0], rounds) for choice in study.choices]
     together = [_measured(choice, by, rounds, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY]
     return alone, together

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_sca
 from xihe_blender.errors import UserError, of_file
 from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256
 from xihe_blender.io.json_records import as_json
-from xihe_blender.io.kept_files import kept_or_done
+from xihe_blender.io.kept_files import has_all, kept_or_done
 from xihe_blender.io.outputs import check_names_differ, write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of, run_blocking, shown
@@ -145,6 +146,10 @@ class Prepared:
     presets: dict[str, RenderChoice]
 
 
+def is_whole(kept: Prepared) -> bool:
+    return 0 < kept.exposure < math.inf and kept.presets.keys() == PRESETS.keys()
+
+
 def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[MeasuredScene]:
     """All that is measured on the scene in `file`; work is kept in `folder`."""
     scene = open_blend(file)
@@ -158,7 +163,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
         return result
 
     with scene_kept():
-        preparing = kept_or_done(Prepared, folder / "prepared.json", prepare(study))
+        preparing = kept_or_done(Prepared, folder / "prepared.json", prepare(study), is_whole)
         prepared = yield from share("preparing", preparing)
         presets, transport = prepared.presets, prepared.light_transport
         capture = RenderSettings(size, study_size.walk_samples, settings.seed, light_transport=transport)
@@ -251,7 +256,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
             frames.append(kept_capture(path, scanner, frame, scanner.acquire_environment_scan))
             path = study.folder / f"probes_{frame:04d}.json"
             job = part_of(len(chosen), index, 1, measured(frame, active))
-            lights = yield from kept_or_done(dict[str, Light], path, job)
+            lights = yield from kept_or_done(dict[str, Light], path, job, has_all(active))
             truths.append({name: np.array(light) for name, light in lights.items()})
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
 
