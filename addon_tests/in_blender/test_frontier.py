@@ -1,5 +1,6 @@
 """`xihe frontier`: a small one from end to end, what it keeps, and what of it is known to be damaged."""
 
+import copy
 import json
 import math
 import re
@@ -17,13 +18,17 @@ from tiny_scenes import material, room_with_a_virtual_sphere, saved
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json, json_schema
+from xihe_blender.io.kept_files import kept_record
 from xihe_blender.jobs import run_blocking
-from xihe_blender.lab.frontier.choices import LARGE_TABLE, QUICK, compute_choices
-from xihe_blender.lab.frontier.pictures import LIGHTS
-from xihe_blender.lab.frontier.points import family, group, groups
+from xihe_blender.lab.frontier.choices import LARGE_TABLE, QUICK, compute_choices, render_choices
+from xihe_blender.lab.frontier.compute import Light
+from xihe_blender.lab.frontier.pictures import LIGHTS, PicturesTaken, are_whole, picture_choices
+from xihe_blender.lab.frontier.points import MeasuredScene, family, group, groups, is_whole_scene
 from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, RenderChoice, StudySize
-from xihe_blender.lab.frontier.study import Prepared, exhaustive_render, frontier, is_whole
+from xihe_blender.lab.frontier.rendering import Round, is_whole_round
+from xihe_blender.lab.frontier.study import Prepared, are_whole_truths, exhaustive_render, frontier, is_whole
 from xihe_blender.previs.presets import PRESETS
+from xihenet.io.json_files import read_json
 from xihenet.pareto import on_front
 
 TINY = StudySize(2, 1, 1, 1, 1, 2, 4, (1, 2), 1)
@@ -179,11 +184,78 @@ def damage(files):
         file.write_bytes(HOLLOW.get(file.name) or damaged(file.read_bytes(), number))
 
 
-@pytest.mark.parametrize("exposure", [0.0, -1.0, float("nan"), float("inf")])
-def test_what_was_prepared_has_an_exposure_and_every_preset(exposure):
-    prepared = Prepared(1.0, (), dict.fromkeys(PRESETS, RenderChoice((1, 1), 1)))
-    assert is_whole(prepared) and not is_whole(replace(prepared, presets={}))
-    assert not is_whole(replace(prepared, exposure=exposure))
+BROKEN = [
+    *[("measured", path, None) for path in [("name",), ("fronts",), ("fronts", "total"), ("views",)]],
+    ("measured", ("name",), "another"),
+    ("measured", ("fronts", "render", 0, "times_ms"), [1.0]),
+    ("measured", ("fronts", "compute", 0, "times_ms"), []),
+    ("measured", ("fronts", "compute", 0, "square_errors", "coefficients_truth"), [0.1]),
+    ("measured", ("fronts", "total", 0, "square_errors", "coefficients", 0), -0.1),
+    *[("prepared", path, None) for path in [("exposure",), ("light_transport",), ("presets",), ("presets", "draft")]],
+    *[("prepared", ("exposure",), value) for value in (0, -1.0, [1.0], "bright", math.inf, math.nan)],
+    *[("prepared", ("presets", "draft", "samples"), value) for value in (0, 2.5, "4", True, [4])],
+    ("prepared", ("light_transport", 0), {}),
+    *[("probes", ("Ball",), value) for value in (None, 0.5, [[1.0] * 3] * 9, [[1.0] * 3] * 24 + [[1e999] * 3], "x")],
+    ("round", (0,), None),
+    *[("round", (0, "ms"), value) for value in (None, "1", -1.0, True)],
+    *[("round", (0, "lights", "base"), value) for value in (None, [], 1.0, [[[1.0] * 3] * 9])],
+    *[("pictures", ("choices", 0), value) for value in (None, 1.0)],
+    *[("pictures", ("choices", 0, "square_errors", "ring_truth"), value) for value in (None, -0.1, "0")],
+    *[("pictures", ("estimators", "base"), value) for value in (None, -0.1)],
+]
+
+
+@pytest.fixture(scope="module")
+def kept(done):
+    """What a frontier keeps, its record, and when it is whole, by the start of the file's name."""
+    content = {
+        file.name.partition("_")[0].removesuffix(".json"): read_json(file)
+        for file in (done / "out" / "work" / "room").glob("*.json")
+    }
+    presets = from_json(Prepared, content["prepared"]).presets
+    choices = render_choices(presets, SMALL.size, TINY, is_quick=True)
+    return content, {
+        "measured": (MeasuredScene, partial(is_whole_scene, "room")),
+        "prepared": (Prepared, is_whole),
+        "probes": (dict[str, Light], partial(are_whole_truths, ["Ball"])),
+        "round": (Round, partial(is_whole_round, choices, 1)),
+        "pictures": (PicturesTaken, partial(are_whole, picture_choices(presets))),
+    }
+
+
+def read_kept(tmp_path, content, kind, whole):
+    (tmp_path / "kept.json").write_text(json.dumps(content))
+    return kept_record(kind, tmp_path / "kept.json", whole)
+
+
+def test_what_a_frontier_keeps_can_be_read(kept, tmp_path):
+    content, records = kept
+    assert set(content) == set(records)
+    assert all(read_kept(tmp_path, of_one, *records[name]) is not None for name, of_one in content.items())
+
+
+@pytest.mark.parametrize(("name", "path", "value"), BROKEN)
+def test_json_that_a_frontier_did_not_write_is_known_to_be_damaged(kept, tmp_path, name, path, value):
+    content, records = kept
+    broken = part = copy.deepcopy(content[name])
+    for step in path[:-1]:
+        part = part[step_in(part, step)]
+    last = step_in(part, path[-1])
+    if value is None:
+        del part[last]
+    else:
+        part[last] = value
+    assert read_kept(tmp_path, broken, *records[name]) is None
+
+
+def step_in(part, step):
+    """Choices have long names, and 0 stands for the first."""
+    return next(iter(part)) if step == 0 and isinstance(part, dict) else step
+
+
+@pytest.mark.parametrize("content", [None, [], {}, 1, "x", [[1]], {"fronts": 1}, {"choices": {}, "estimators": {}}])
+def test_json_of_another_kind_is_known_to_be_damaged(kept, tmp_path, content):
+    assert all(read_kept(tmp_path, content, *one) is None for one in kept[1].values())
 
 
 def test_a_folder_of_another_frontier_and_two_scenes_of_one_name_are_refused(done, tmp_path):

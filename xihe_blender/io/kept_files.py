@@ -8,9 +8,9 @@ line shows, and its work is done once more.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from xihe_blender.io.json_records import Json, Record, as_json, read_record
 from xihe_blender.io.outputs import write_json
@@ -63,12 +63,6 @@ def kept_or_done(
         write_json(path, as_json((yield from job)))
         kept = read_record(kind, path)
     return kept
-
-
-def has_all(names: Iterable[str]) -> Callable[[Mapping[str, Any]], bool]:
-    """Whether a kept mapping has these names and no others."""
-    expected = set(names)
-    return lambda kept: kept.keys() == expected
 
 
 def kept_or_made(path: Path, read: Callable[[Json], Kept], make: Callable[[], Json]) -> Kept:

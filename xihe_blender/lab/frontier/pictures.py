@@ -14,6 +14,7 @@ where the shadow is, in linear colour.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import get_args
@@ -22,7 +23,7 @@ import numpy as np
 
 from xihe_blender.compare.methods import Comparer, Comparison, display, open_comparer
 from xihe_blender.compare.shadows import ring_rmse
-from xihe_blender.io.kept_files import has_all, kept_or_done
+from xihe_blender.io.kept_files import kept_or_done
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import RenderCandidate
 from xihe_blender.lab.frontier.compute import AGAINST_TRUTH, Walk
@@ -78,15 +79,10 @@ def measure_pictures(
     """The choices, and by estimator the squared errors of its pictures at the views."""
     rounds: list[PicturesTaken] = []
     frames = list(study.views)[: study.study_size.n_picture_views]
-    of_choices, of_methods = has_all(choice.key for choice in choices), has_all(by.label for by in METHODS)
-
-    def is_whole(kept: PicturesTaken) -> bool:
-        return of_choices(kept.choices) and of_methods(kept.estimators)
-
     for number, frame in enumerate(frames):
         path = study.folder / f"pictures_{frame:04d}.json"
         job = part_of(len(frames), number, 1, _view_measured(study, walk, choices, frame))
-        rounds.append((yield from kept_or_done(PicturesTaken, path, job, is_whole)))
+        rounds.append((yield from kept_or_done(PicturesTaken, path, job, functools.partial(are_whole, choices))))
     if not rounds:
         return [], {}
     measured = []
@@ -96,6 +92,17 @@ def measure_pictures(
         errors = {kind: tuple(one.square_errors[kind] for one in taken) for kind in error_kinds(choice)}
         measured.append(Measured(choice.label, settings, errors, tuple(one.ms for one in taken), choice.preset))
     return measured, {by.label: tuple(one.estimators[by.label] for one in rounds) for by in METHODS}
+
+
+def are_whole(choices: Sequence[RenderCandidate], kept: PicturesTaken) -> bool:
+    """Whether times and squared errors, of 0 or more, of all `choices` and estimators are there, and no others."""
+    kinds = {key: one.square_errors.keys() for key, one in kept.choices.items()}
+    figures = [figure for one in kept.choices.values() for figure in (one.ms, *one.square_errors.values())]
+    return (
+        kinds == {choice.key: set(error_kinds(choice)) for choice in choices}
+        and kept.estimators.keys() == {by.label for by in METHODS}
+        and min([*figures, *kept.estimators.values()]) >= 0
+    )
 
 
 def error_kinds(choice: RenderCandidate) -> tuple[str, ...]:

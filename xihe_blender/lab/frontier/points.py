@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 
@@ -63,6 +64,19 @@ class MeasuredScene:
 
     fronts: dict[Front, tuple[Measured, ...]]
     scene: FrontierScene | None = field(metadata=INLINE)
+
+
+def is_whole_scene(name: str, one: MeasuredScene) -> bool:
+    """Whether all fronts of the scene `name` are there, with as many numbers of 0 or more for each choice."""
+    if one.scene is None or one.scene.name != name or one.fronts.keys() != set(get_args(Front)):
+        return False
+    for measured in one.fronts.values():
+        for kind in {kind for each in measured for kind in each.square_errors}:
+            own = [each for each in measured if kind in each.square_errors]
+            for rows in ([each.square_errors[kind] for each in own], [each.times_ms for each in own]):
+                if len({len(row) for row in rows}) != 1 or not rows[0] or min(map(min, rows)) < 0:
+                    return False
+    return True
 
 
 def points_of(scene: str, fronts: Mapping[Front, Sequence[Measured]], seed: int) -> list[FrontierPoint]:

@@ -11,6 +11,7 @@ fewer. The small render has as many as any other, so that no render depends on t
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +21,10 @@ import numpy as np
 
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner
-from xihe_blender.io.kept_files import has_all, kept_or_done, read_kept
+from xihe_blender.io.kept_files import kept_or_done, read_kept
 from xihe_blender.jobs import Job, Progress, part_of
 from xihe_blender.lab.frontier.choices import EXHAUSTIVE, FULL, QUICK, RenderCandidate
-from xihe_blender.lab.frontier.compute import ChoiceBackend, Light, light_of_frame, square_errors
+from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ChoiceBackend, Light, light_of_frame, square_errors
 from xihe_blender.lab.frontier.points import Measured
 from xihe_blender.lab.frontier.records import ChoiceSettings, ComputeChoice, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.timing import timed
@@ -120,11 +121,11 @@ def measure_rendering(
     rounds: list[tuple[Round, LightsBy]] = []
     n_seeds = study.study_size.n_seeds
     n_parts = len(study.views) * (1 + n_seeds)
-    is_whole = has_all(choice.key for choice in study.choices)
     for number, (frame, positions_m) in enumerate(study.views.items()):
         before = number * (1 + n_seeds)
         yield Progress(before, n_parts, f"rendering frame {frame} exhaustively")
         truth = _lights(all_backends, study.reference(frame), positions_m)
+        is_whole = functools.partial(is_whole_round, study.choices, len(positions_m))
         for seed in range(n_seeds):
             job = part_of(n_parts, before + 1 + seed, 1, _render_round(study, frame, seed, backends))
             path = study.folder / f"round_{frame:04d}_{seed}.json"
@@ -132,6 +133,13 @@ def measure_rendering(
     alone = [_measured(choice, COMPUTED_BY[0], rounds) for choice in study.choices]
     together = [_measured(choice, by, rounds, computing_ms[by]) for choice in study.choices for by in COMPUTED_BY]
     return alone, together
+
+
+def is_whole_round(choices: Sequence[RenderCandidate], n_positions: int, kept: Round) -> bool:
+    """Whether a round has the light at each position for all `choices`, and no others."""
+    shapes = {np.shape(one.lights[by.label]) for one in kept.values() for by in COMPUTED_BY}
+    are_all = kept.keys() == {choice.key for choice in choices} and shapes == {(n_positions, N_COEFFICIENTS, 3)}
+    return are_all and min(one.ms for one in kept.values()) >= 0
 
 
 def rendered(scanner: CyclesScanner, choice: RenderChoice, seed: int, *, n_threads: int = 1) -> RgbdFrame:

@@ -8,9 +8,9 @@ set of scenes and one seed; another is refused, as for `xihe previs`.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -25,15 +25,15 @@ from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_sca
 from xihe_blender.errors import UserError, of_file
 from xihe_blender.io.folder_manifest import FolderManifest, contents_sha256
 from xihe_blender.io.json_records import as_json
-from xihe_blender.io.kept_files import has_all, kept_or_done
+from xihe_blender.io.kept_files import kept_or_done
 from xihe_blender.io.outputs import check_names_differ, write_csv, write_json
 from xihe_blender.io.provenance import machine, software
 from xihe_blender.jobs import Job, Progress, part_of, run_blocking, shown
 from xihe_blender.lab.frontier.answers import answers
 from xihe_blender.lab.frontier.choices import compute_choices, render_choices
-from xihe_blender.lab.frontier.compute import ORDER, ChoiceBackend, Light, Walk, measure_compute
+from xihe_blender.lab.frontier.compute import N_COEFFICIENTS, ORDER, ChoiceBackend, Light, Walk, measure_compute
 from xihe_blender.lab.frontier.pictures import OF_TRUTH, measure_pictures, picture_choices
-from xihe_blender.lab.frontier.points import MeasuredScene, points_of
+from xihe_blender.lab.frontier.points import MeasuredScene, is_whole_scene, points_of
 from xihe_blender.lab.frontier.records import (
     ComputeChoice,
     Frontier,
@@ -113,7 +113,7 @@ def _measured(files: Sequence[Path], out: Path, settings: FrontierSettings, comm
     for number, file in enumerate(files):
         path = out / "work" / file.stem / "measured.json"
         job = part_of(len(files), number, 1, measure_scene(file, path.parent, settings), file.stem)
-        kept.append((yield from kept_or_done(MeasuredScene, path, job)))
+        kept.append((yield from kept_or_done(MeasuredScene, path, job, functools.partial(is_whole_scene, file.stem))))
     points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
     found = Frontier(
         software=software(command),
@@ -147,7 +147,8 @@ class Prepared:
 
 
 def is_whole(kept: Prepared) -> bool:
-    return 0 < kept.exposure < math.inf and kept.presets.keys() == PRESETS.keys()
+    samples = {name: choice.samples for name, choice in kept.presets.items()}
+    return kept.exposure > 0 and samples.keys() == PRESETS.keys() and min(samples.values()) >= 1
 
 
 def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[MeasuredScene]:
@@ -256,9 +257,14 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
             frames.append(kept_capture(path, scanner, frame, scanner.acquire_environment_scan))
             path = study.folder / f"probes_{frame:04d}.json"
             job = part_of(len(chosen), index, 1, measured(frame, active))
-            lights = yield from kept_or_done(dict[str, Light], path, job, has_all(active))
+            lights = yield from kept_or_done(dict[str, Light], path, job, functools.partial(are_whole_truths, active))
             truths.append({name: np.array(light) for name, light in lights.items()})
     return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
+
+
+def are_whole_truths(names: Sequence[str], kept: Mapping[str, Light]) -> bool:
+    """Whether a walk has the light, (25, 3), at each of the positions `names` of a frame, and no others."""
+    return kept.keys() == set(names) and {np.shape(light) for light in kept.values()} <= {(N_COEFFICIENTS, 3)}
 
 
 def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) -> tuple[PrevisPlan, SceneSurvey]:
