@@ -153,7 +153,7 @@ NAMED_RULES: Mapping[Rule, NamedRule] = MappingProxyType(
         ),
         "reference": NamedRule(
             "As the Paper",
-            "By the paper's rule, when any direction changes colour by much, which a lamp that dims does not",
+            "By the paper's rule, when any direction changes colour by much (a lamp that dims goes unnoticed)",
             TriggerSettings(policy="reference"),
         ),
         "every-frame": NamedRule(

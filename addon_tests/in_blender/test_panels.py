@@ -17,6 +17,8 @@ from addon_tests.pure import runs
 from xihe_blender.addon import panels
 from xihe_blender.addon import runs_folder as reader
 from xihe_blender.addon.failures import in_the_panels_words
+from xihe_blender.io.json_records import from_json
+from xihe_blender.io.run_results import EffectResult
 from xihe_blender.previs.presets import PRESETS
 
 CONTENT = runs.content(
@@ -73,6 +75,8 @@ def test_results_name_the_phone_and_the_network_that_were_simulated(run_folder):
     assert panels.simulated_phone(run) == ""
     of_wifi = replace(run, settings=replace(run.settings, network="wifi"))
     assert panels.simulated_phone(of_wifi) == "Network: Wi-Fi"
+    left_out = from_json(EffectResult, {"name": "network", "state": "off", "reason": "chosen"})
+    assert panels.simulated_phone(replace(of_wifi, effects=(left_out,))) == ""
     chosen = replace(of_wifi.settings, phone="/phones/mine.toml")
     of_both = replace(of_wifi, settings=chosen, phone=replace(run.phone, name="Our Phone"))
     assert panels.simulated_phone(of_both) == "Phone: Our Phone. Network: Wi-Fi"

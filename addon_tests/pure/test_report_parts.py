@@ -136,7 +136,8 @@ def test_one_estimate_is_an_estimate():
     summary |= {"rmse_against_ambient": {}, "object_pixels": None}
     whole = runs.content(summary=summary, settings={"network": None})
     assert format_summary(whole) == "4 of 4 frames, 1 estimate"
-    left_out = {"settings": whole["settings"] | {"network": "lte"}, "effects": [{"name": "network", "state": "off"}]}
+    off = {"name": "network", "state": "off", "reason": "chosen"}
+    left_out = {"settings": whole["settings"] | {"network": "lte"}, "effects": [off]}
     assert format_summary(whole | left_out) == "4 of 4 frames, 1 estimate"
 
 

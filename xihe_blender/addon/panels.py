@@ -401,7 +401,7 @@ def simulated_phone(run: RunResults) -> str:
     from xihenet.phone import LINKS
 
     phone = [] if run.settings.phone == DEFAULT_PHONE else [f"Phone: {run.phone.name}"]
-    link = LINKS.get(run.settings.network or "")
+    link = LINKS.get(run.network_in_use or "")
     network = [] if link is None else [f"Network: {link.label}"]
     return ". ".join(phone + network)
 

@@ -7,6 +7,8 @@ from typing import Any
 
 from xihe_blender.cli import arguments
 from xihe_blender.cli.progress import progress_line
+from xihe_blender.io.json_records import from_json
+from xihe_blender.io.run_results import RunResults
 from xihe_blender.jobs import run_blocking
 from xihenet.trigger import RULES
 
@@ -58,21 +60,20 @@ def format_summary(results: dict[str, Any]) -> str:
     from xihenet.formats import format_count
     from xihenet.invalid import format_unanswered
 
-    summary, estimator = results["summary"], results["settings"]["estimator"]
-    ratio = (summary["rmse_against_ambient"] or {}).get(estimator)
-    estimates = format_count(summary["n_estimates"], "estimate")
-    line = f"{summary['n_active_frames']} of {summary['n_frames']} frames, {estimates}"
-    line += format_unanswered(summary["invalid"]["lights"])
-    states = {effect["name"]: effect["state"] for effect in results["effects"]}
-    if results["settings"]["network"] is not None and states.get("network") != "off":
-        latency_ms = summary["mean_latency_ms"]
+    run = from_json(RunResults, results)
+    summary, estimator = run.summary, run.settings.estimator
+    ratio = summary.rmse_against_ambient.get(estimator)
+    line = f"{summary.n_active_frames} of {summary.n_frames} frames, {format_count(summary.n_estimates, 'estimate')}"
+    line += format_unanswered(summary.invalid.lights)
+    if run.network_in_use is not None:
+        latency_ms = summary.mean_latency_ms
         took = "none arrived" if latency_ms is None else f"{latency_ms:.0f} ms to arrive"
-        line += f", {took}, {summary['n_lost'] or 'none'} lost"
-    if summary["n_unknown_lights"]:
-        line += f", the last light was kept {summary['n_unknown_lights']} times because it was unknown"
+        line += f", {took}, {summary.n_lost or 'none'} lost"
+    if summary.n_unknown_lights:
+        line += f", the last light was kept {summary.n_unknown_lights} times because it was unknown"
     if ratio is None or estimator == "ambient":
         return line
     word = "closer to" if ratio <= 1 else "further from"
-    small = too_small_to_judge(summary["object_pixels"])
+    small = too_small_to_judge(summary.object_pixels)
     caveat = "" if small is None else f", but {small}"
     return f"{line}; {estimator} is {abs(1 - ratio):.0%} {word} the ground truth than ambient (RMSE){caveat}"
