@@ -282,6 +282,18 @@ def test_text_may_begin_with_a_byte_order_mark_as_windows_writes_it(tmp_path, na
     assert [frame.camera.world_from_camera.shape for frame in open_capture(path).frames] == [(4, 4)] * 2
 
 
+@pytest.mark.parametrize("name", layouts(TEXTUAL))
+def test_what_macos_and_windows_put_beside_files_is_no_part_of_a_recording(tmp_path, name):
+    write, intrinsics = LAYOUTS[name]
+    path = write(tmp_path / "recorded", walk(intrinsics, 2))
+    for one in (path, *path.rglob("*")):
+        beside = one / ".DS_Store" if one.is_dir() else one.with_name(f"._{one.name}")  # The second on other disks.
+        beside.write_bytes(b"\x00\x05\x16\x07\x00\x02")
+        if one.is_dir():
+            (one / "Thumbs.db").touch()
+    assert len([frame.read() for frame in open_capture(path).frames]) == 2
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_quaternion_is_a_rotation_whatever_its_length(seed):
     quaternion = np.random.default_rng(seed).normal(size=4) * 3

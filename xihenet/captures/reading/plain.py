@@ -72,8 +72,8 @@ def read(folder: Path, up: str | None) -> Capture:
 
 
 def _images(folder: Path) -> list[Path]:
-    """By name, and numbers in names by their value: 2 comes before 10."""
-    found = (path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    """By name, and numbers in names by their value: 2 comes before 10. What macOS puts beside files has a dot."""
+    found = (path for path in folder.glob("[!.]*") if path.suffix.lower() in SUFFIXES and path.is_file())
     return sorted(found, key=lambda path: [part.zfill(20) for part in re.split(r"(\d+)", path.name)])
 
 
