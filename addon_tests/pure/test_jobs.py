@@ -240,7 +240,9 @@ def test_progress_stays_on_one_line_of_a_terminal(monkeypatch, name, shown):
     monkeypatch.setenv("TERM", "xterm")
     lines = shown_on_terminal(f"measuring the light at {name} in frame 1")
     assert len(lines) == 1 and shown in lines[0]
-    columns = sum(1 + (unicodedata.east_asian_width(sign) == "W") for sign in lines[0].removeprefix("\r\x1b[K"))
+    wiped, line = lines[0].rsplit("\r", 1)
+    assert wiped == "\r" + 79 * " "  # No escape sequence, which not every console of Windows takes.
+    columns = sum(1 + (unicodedata.east_asian_width(sign) == "W") for sign in line)
     assert columns < 80 and (columns > 76 or name == "Chair")
 
 

@@ -21,8 +21,8 @@ EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 
 CUT = "..."
-MANY_COLUMNS = 10**6
-"""Of a terminal that does not say how wide it is."""
+MANY_COLUMNS, USUAL_COLUMNS = 10**6, 79
+"""Of a terminal that does not say how wide it is: for what is written, and for what is written over."""
 
 
 def when_news(show: Callable[[Progress, float], None]) -> Callable[[Progress, float], None]:
@@ -60,7 +60,7 @@ def progress_line(stream: Any) -> Callable[[Progress, float], None]:
             # What does not fit would go on in a second line, and stay there.
             doing = _cut_to(_n_columns(stream) - len(share + remaining) - 1, doing)
         end = "\n" if not is_rewritten or progress.done >= progress.total else ""
-        print(("\r\033[K" if is_rewritten else "") + share + doing + remaining, file=stream, end=end, flush=True)
+        print(_wiped(stream) + share + doing + remaining, file=stream, end=end, flush=True)
 
     return show
 
@@ -68,6 +68,15 @@ def progress_line(stream: Any) -> Callable[[Progress, float], None]:
 def _can_rewrite(stream: Any) -> bool:
     """Whether `stream` is a terminal that can go back and write a line anew."""
     return bool(stream.isatty()) and os.environ.get("TERM") != "dumb"
+
+
+def _wiped(stream: Any) -> str:
+    """What has `stream` begin its line anew: spaces over what stands there, since not every console of Windows knows
+    escape sequences; nothing where it is no terminal."""
+    n_columns = _n_columns(stream)
+    return (
+        f"\r{' ' * (USUAL_COLUMNS if n_columns == MANY_COLUMNS else n_columns - 1)}\r" if _can_rewrite(stream) else ""
+    )
 
 
 def _n_columns(stream: Any) -> int:
@@ -89,7 +98,7 @@ def _cut_to(n_columns: int, words: str) -> str:
 def notes_on(stream: Any) -> Iterator[None]:
     """Show on `stream` what is logged during the block, a line each; on a terminal in place of the line of progress."""
     handler = logging.StreamHandler(stream)
-    handler.setFormatter(logging.Formatter(("\r\033[K" if _can_rewrite(stream) else "") + "xihe: note: %(message)s"))
+    handler.setFormatter(logging.Formatter(f"{_wiped(stream)}xihe: note: %(message)s"))
     logger = logging.getLogger("xihe_blender")
     logger.addHandler(handler)
     try:
