@@ -66,6 +66,12 @@ def test_a_process_that_dies_is_tried_again(scheduler, scripts):
     assert (scripts / "mark").exists()
 
 
+def test_lines_of_blenders_own_may_have_any_encoding(scheduler, scripts):
+    code = "import sys; sys.stdout.buffer.write(b'Read blend: C:\\\\caf\\xe9.blend\\n0.5\\n')"
+    (scripts / "says_more.py").write_text(code)
+    assert run(scheduler, Work("one", "says_more", told={})) == {}
+
+
 def test_a_blender_ends_without_a_trace_when_nobody_reads_it_any_more():
     work = f"""
 {AS_IN_BLENDER if hasattr(signal, "SIGPIPE") else ""}

@@ -184,7 +184,9 @@ def run_module(work: Work) -> str | None:
     """
     command = [*(work.program or (sys.executable, "-m", work.module)), *work.arguments]
     piped = subprocess.PIPE if work.told is not None else subprocess.DEVNULL
-    with process_on_one_core(command, stdin=piped, stdout=piped, text=True) as (process, errors):
+    # A whole Blender's own lines may name paths in any encoding.
+    words_of = {"encoding": "utf-8", "errors": "replace"}
+    with process_on_one_core(command, stdin=piped, stdout=piped, **words_of) as (process, errors):
         if work.told is not None:
             _pass_on(process, work)
         code, words = process.wait(), last_line(errors)
