@@ -2,15 +2,36 @@
 
 import contextlib
 import errno
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from addon_tests.pure.commands import ROOT
+from xihe_blender.errors import UserError
 from xihe_blender.io.exr import write_radiance
-from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.io.outputs import RunOutputs, check_names_differ, write_json
 from xihe_blender.lab.batch.grid import planned_units
 from xihenet.io.whole_files import written_whole
+
+
+@pytest.mark.parametrize(("encoding", "printed"), [("cp1252", b"Caf\xe9 \\u2212"), ("utf-8", "Café \u2212".encode())])
+def test_what_is_printed_has_the_encoding_of_whoever_reads_it(encoding, printed):
+    """Pipes of Windows have another than UTF-8, and not every sign is in it."""
+    code = (
+        "from xihe_blender.io.blender_output import only_our_output\nwith only_our_output(): print('Caf\\xe9 \\u2212')"
+    )
+    given = {"cwd": ROOT, "env": os.environ | {"PYTHONIOENCODING": encoding}, "capture_output": True, "timeout": 60}
+    assert subprocess.run([sys.executable, "-c", code], **given).stdout.strip() == printed
+
+
+def test_scenes_whose_names_differ_in_upper_and_lower_case_alone_are_refused():
+    check_names_differ([Path("a/room.blend"), Path("b/roof.blend")])
+    with pytest.raises(UserError, match="two scenes are named 'Room': results go by name, so rename one"):
+        check_names_differ([Path("a/Room.blend"), Path("b/room.blend")])
 
 
 @pytest.mark.parametrize("n_refusals", [3, 99])

@@ -12,20 +12,35 @@ from collections.abc import Iterator
 from typing import Any
 
 
-class _Heedless(io.FileIO):
+class _Heedless(io.RawIOBase):
     """A stream whose reader may leave before the job is done, as `head` does: what nobody reads is dropped.
+
+    It writes to a raw stream that `open` chooses: a console of Windows takes other calls than a file, and UTF-8 alone.
 
     What is worth `keeping`, the result, raises OSError where it is refused for another reason, such as a full disk;
     progress never does.
     """
 
     def __init__(self, descriptor: int, *, keeping: bool) -> None:
-        super().__init__(descriptor, "w")
+        self.raw = open(descriptor, "wb", buffering=0)  # noqa: SIM115
         self.keeping = keeping
+
+    def fileno(self) -> int:
+        return self.raw.fileno()
+
+    def isatty(self) -> bool:
+        return self.raw.isatty()
+
+    def writable(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        self.raw.close()
+        super().close()
 
     def write(self, text: Any, /) -> int:
         try:
-            return super().write(text)
+            return self.raw.write(text)
         except OSError as error:
             # Of a pipe without a reader, Windows says the second.
             if self.keeping and error.errno not in (errno.EPIPE, errno.EINVAL):
@@ -62,10 +77,11 @@ def blender_output_aside() -> Iterator[tuple[Any, Any]]:
         streams = [
             io.TextIOWrapper(
                 io.BufferedWriter(_Heedless(os.dup(descriptor), keeping=descriptor == 1)),
+                encoding=stream.encoding,
                 errors="backslashreplace",
                 line_buffering=os.isatty(descriptor),
             )
-            for descriptor in (1, 2)
+            for descriptor, stream in ((1, sys.stdout), (2, sys.stderr))
         ]
         for descriptor, stream in enumerate(streams, start=1):
             stack.callback(stream.close)

@@ -119,9 +119,10 @@ def cut_stem(stem: str) -> str:
 
 
 def check_names_differ(scenes: Sequence[Path]) -> None:
-    """UserError where two of the files have the same stem."""
+    """UserError where two of the files have the same stem, in upper or lower case: folders of Windows and macOS do."""
     names = [file.stem for file in scenes]
-    if twice := [name for name in names if names.count(name) > 1]:
+    alike = [name.casefold() for name in names]
+    if twice := [name for name in names if alike.count(name.casefold()) > 1]:
         raise UserError(f"two scenes are named {twice[0]!r}: results go by name, so rename one")
 
 
@@ -154,7 +155,7 @@ def write_picture(path: Path, picture: ArrayF32 | ArrayF64 | ArrayU8) -> None:
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> None:
     """Write a table, whole or not at all; what is None or missing is empty."""
-    with written_whole(path) as beside, beside.open("w", encoding="utf-8") as file:
+    with written_whole(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, columns, restval="", extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
