@@ -191,7 +191,7 @@ def build_cache(
     wanted["rooms_digest"] = hashlib.sha256("".join(digests).encode()).hexdigest()
     check(wanted)
     done = out / "settings.json"
-    if done.exists() and json.loads(done.read_text()) == wanted:
+    if done.exists() and json.loads(done.read_text(encoding="utf-8")) == wanted:
         return
     # Of this process alone: two trainings may sample the same clouds at once.
     beside = out.with_name(f".{out.name}.{os.getpid()}.part")
@@ -199,7 +199,7 @@ def build_cache(
         for split in SPLITS:
             members = {path: seeds[path] for path in seeds if splits[path] == split and split in settings.only}
             _build_split(members, beside / split, split, settings, progress)
-        (beside / "settings.json").write_text(json.dumps(wanted))
+        (beside / "settings.json").write_text(json.dumps(wanted), encoding="utf-8")
         shutil.rmtree(out, ignore_errors=True)
         beside.rename(out)
     finally:
@@ -215,7 +215,7 @@ def open_split(cache: Path, split: Split) -> CloudSet:
 def read_content(cache: Path) -> Content:
     """What the clouds of a cache were made of; ValueError as of `read_cache`."""
     read_cache(cache)
-    return json.loads((cache / "settings.json").read_text())
+    return json.loads((cache / "settings.json").read_text(encoding="utf-8"))
 
 
 class Cache(NamedTuple):
@@ -232,7 +232,7 @@ def read_cache(folder: Path) -> Cache:
     """ValueError naming the folder if it is none, or of another version."""
     wanted, hint = "expected sampled clouds", "with `python -m xihenet.training cache`"
     try:
-        found = json.loads((folder / "settings.json").read_text())
+        found = json.loads((folder / "settings.json").read_text(encoding="utf-8"))
         if found["version"] == CACHE_VERSION:
             found["rooms"] = [(seed, number) for seed, number in found["rooms"]]
             return Cache(*(found[name] for name in Cache._fields))

@@ -313,7 +313,7 @@ def _save_checkpoint(run: _Run, settings: TrainSettings, content: Content) -> No
     if not run.history:
         return
     # From the history and not appended to, so that a resumed training has each epoch once.
-    with (settings.out / "curves.csv").open("w", newline="") as file:
+    with (settings.out / "curves.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(run.history[0]))
         writer.writeheader()
         writer.writerows(run.history)
