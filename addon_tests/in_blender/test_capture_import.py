@@ -44,6 +44,8 @@ from xihe_blender.previs.recorded_run import recorded_session
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import (
+    CAPTURE,
+    CAPTURE_WAS,
     IS_CAPTURED,
     ChosenCapture,
     frames_a_second,
@@ -312,6 +314,13 @@ def test_what_is_set_by_hand_is_remembered(tmp_path):
     assert (heights.min(), heights.max()) == pytest.approx((0, HALF[2]), abs=0.02)
     assert remembered_capture(scene) == chosen
     np.testing.assert_allclose(phone_camera(scene)[1], capture_of(scene).frames[0].camera.world_from_camera, atol=1e-5)
+
+
+def test_the_recording_of_a_file_that_was_saved_on_windows_is_found(tmp_path):
+    scene = empty_scene()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    scene[CAPTURE], scene[CAPTURE_WAS] = "//phone\\walk", "C:\\phone\\walk"
+    assert remembered_capture(scene).path == tmp_path / "phone" / "walk"
 
 
 def test_the_first_look_is_marked(tmp_path):

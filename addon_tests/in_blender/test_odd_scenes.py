@@ -274,9 +274,10 @@ def test_what_geometry_nodes_are_given_and_all_kinds_of_baked_physics_are_read(t
     walk(2)
     scene = opened(saved(tmp_path / "room.blend"))
     table = scene.objects["Table"]
-    given_to_nodes(table, "FILE_PATH", "//vase.stl")
+    given_to_nodes(table, "FILE_PATH", "//models\\vase.stl")  # As a Blender on Windows writes it.
     given_to_nodes(table, "NONE", "//cup_")
     given_to_nodes(table, "NONE", "//cups/")
+    given_to_nodes(table, "NONE", "//bowls\\")
     given_to_nodes(table, "NONE", "no path")
     given_to_nodes(table, "NONE", "/")
     bpy.ops.rigidbody.world_add()
@@ -289,7 +290,16 @@ def test_what_geometry_nodes_are_given_and_all_kinds_of_baked_physics_are_read(t
     wet.filepath, wet.use_external = "//wet", True
     bpy.ops.cachefile.open(filepath=str(tmp_path / "walk.abc"))
     bpy.data.cache_files[0].layers.new(filepath="//walk_over.abc")
-    names = ("vase.stl", "cup_*", "cups/*", "bodies/*.bphys", "wet/*.bphys", "walk.abc", "walk_over.abc")
+    names = (
+        "models/vase.stl",
+        "cup_*",
+        "cups/*",
+        "bowls/*",
+        "bodies/*.bphys",
+        "wet/*.bphys",
+        "walk.abc",
+        "walk_over.abc",
+    )
     assert set(files_read()) == {str(tmp_path / name) for name in names}
 
 
@@ -440,7 +450,7 @@ def test_a_copy_in_another_folder_reads_the_same_files(tmp_path):
     hair = flag.modifiers.new("Hair", "PARTICLE_SYSTEM").particle_system.point_cache
     hair.use_external, hair.filepath = True, "//hair"
     tree = bpy.data.node_groups.new("Moves", "GeometryNodeTree")
-    tree.nodes.new("GeometryNodeImportSTL").inputs["Path"].default_value = "//flag.stl"
+    tree.nodes.new("GeometryNodeImportSTL").inputs["Path"].default_value = "//models\\flag.stl"
     nodes = flag.modifiers.new("Nodes", "NODES")
     nodes.show_viewport, nodes.node_group, nodes.bake_directory = False, tree, "//moves"
     _, given = given_to_nodes(flag, "FILE_PATH", "//given.stl")
@@ -455,7 +465,7 @@ def test_a_copy_in_another_folder_reads_the_same_files(tmp_path):
     assert scene.objects["Flag"].modifiers["Nodes"].bake_directory == "//moves"
     assert modifier_input(scene.objects["Flag"].modifiers["Import"], given)[0] == "//given.stl"
     opened(copy)
-    elsewhere = {str(tmp_path / name) for name in ("hair/*.bphys", "moves/**/*", "flag.stl", "given.stl")}
+    elsewhere = {str(tmp_path / name) for name in ("hair/*.bphys", "moves/**/*", "models/flag.stl", "given.stl")}
     assert set(files_read()) == {*elsewhere, str(copy.parent / "blendcache_walk" / "*.bphys")}
     assert len(list(copy.parent.glob("blendcache_walk/*.bphys"))) == 2
 

@@ -27,6 +27,7 @@ from xihe_blender.previs.plan import captured_size, planned_frames
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.settings import PrevisSettings, settings_of
+from xihe_blender.scene.blend_file import absolute
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet import estimators
 from xihenet.effects import Effect
@@ -140,7 +141,7 @@ def _phone(scene: bpy.types.Scene) -> str:
     file = scene.xihe.phone_file or (user.phone_file if user is not None else "")
     if not file:
         raise UserError("Phone is From File, but no file is chosen: choose one, or another phone")
-    return str(bpy.path.abspath(file))
+    return absolute(file)
 
 
 def required_effects(scene: bpy.types.Scene) -> Job[dict[str, Effect]]:

@@ -97,7 +97,7 @@ def _nodes() -> Iterator[str]:
 def _pattern_of_node_path(owner: bpy.types.ID, one: NodePath) -> str:
     """Of all files whose path begins so, where nodes join the rest."""
     pattern = pattern_of(owner, one.path)
-    return pattern if one.is_whole else str(Path(pattern, "*")) if one.path.endswith("/") else f"{pattern}*"
+    return pattern if one.is_whole else str(Path(pattern, "*")) if one.path.endswith(("/", "\\")) else f"{pattern}*"
 
 
 def _caches() -> Iterator[str]:
@@ -142,4 +142,5 @@ def _from_blend(path: str, library: bpy.types.Library | None) -> Path:
     """`path`, which starts from its library if it is relative, from the folder of the open .blend."""
     if not path.startswith("//"):
         return Path(path)
-    return (Path() if library is None else _from_blend(library.filepath, None).parent) / path[2:]
+    below = path[2:].replace("\\", "/")  # As of `absolute`.
+    return (Path() if library is None else _from_blend(library.filepath, None).parent) / below

@@ -43,6 +43,12 @@ def open_blend(path: Path) -> bpy.types.Scene:
     return bpy.context.scene
 
 
+def absolute(path: str) -> str:
+    """`path` from the folder of the open file, if it is relative to that: on Windows such a path has backslashes, which
+    Blender reads on every system, and Python does not."""
+    return str(bpy.path.abspath(path.replace("\\", "/") if path.startswith("//") else path))
+
+
 def save_copy(scene: bpy.types.Scene, path: Path, *, compress: bool = False) -> None:
     """Save a copy of the open file, with `scene` in it, as `path`, so that it reads the same files.
 
@@ -158,7 +164,7 @@ def _absolute_paths() -> Iterator[None]:
     turned = [(path, put) for path, put in found if bpy.data.filepath and path.startswith("//")]
     try:
         for path, put in turned:
-            put(bpy.path.abspath(path))
+            put(absolute(path))
         yield
     finally:
         for path, put in turned:

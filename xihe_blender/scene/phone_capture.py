@@ -17,6 +17,7 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.errors import UserError
+from xihe_blender.scene.blend_file import absolute
 
 CAPTURE, CAPTURE_WAS, CAPTURE_SET = "xihe_capture", "xihe_capture_was", "xihe_capture_set"
 """Custom properties of a scene: its recording as the .blend keeps it, where that was when it was imported, for a copy
@@ -68,7 +69,7 @@ def remembered_capture(scene: bpy.types.Scene) -> ChosenCapture | None:
     path = scene.get(CAPTURE)
     if not isinstance(path, str) or not path:
         return None
-    here, was = Path(bpy.path.abspath(path)), Path(str(scene.get(CAPTURE_WAS, path)))
+    here, was = Path(absolute(path)), Path(str(scene.get(CAPTURE_WAS, path)))
     found = was if was.exists() and not (path.startswith("//") and here.exists()) else here
     return ChosenCapture(found, **json.loads(scene.get(CAPTURE_SET, "{}")))
 
