@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from xihe_blender.cli.arguments import names
+from xihe_blender.cli.arguments import files, names
 from xihenet import svg
 from xihenet.formats import (
     as_spelled,
@@ -109,6 +109,14 @@ def test_names_that_are_typed_need_quotes_only_for_commas_and_spaces_at_their_en
     assert names(' Cup,, Chair "oak", 2" pipe , "Chair, oak"," lead ",') == (
         "Cup", 'Chair "oak"', '2" pipe', "Chair, oak", " lead ",
     )  # fmt: skip
+
+
+def test_files_may_be_given_as_a_pattern_where_the_shell_leaves_it_as_it_is(tmp_path):
+    made = [tmp_path / name for name in ("hall.blend", "room.blend", "[old].blend")]
+    for path in made:
+        path.touch()
+    none = tmp_path / "*.usd"
+    assert files([tmp_path / "[hr]*.blend", made[2], none]) == [*made, none]
 
 
 def test_a_name_is_found_in_either_spelling_of_its_accents():

@@ -10,6 +10,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable
+from glob import glob
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -70,6 +71,12 @@ def settings_from(options: argparse.Namespace, kind: Callable[..., Settings], **
     """The settings record `kind` with all options that are named as its fields are, and `others`."""
     fields = inspect.signature(kind).parameters
     return kind(**{name: value for name, value in vars(options).items() if name in fields} | others)
+
+
+def files(given: Iterable[Path]) -> list[Path]:
+    """The files that were given, where a shell of Windows has left a pattern such as *.blend as it is."""
+    found = [[path] if path.exists() else sorted(glob(str(path))) or [path] for path in given]  # noqa: PTH207
+    return [Path(one) for of_one in found for one in of_one]
 
 
 def frame_range(text: str) -> tuple[int, ...]:

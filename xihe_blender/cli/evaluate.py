@@ -46,7 +46,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
         raise UserError(f"--workers {options.workers}: give 1 or more")
     phones = tuple(_absolute_profile(name) for name in options.profiles or ("perfect",))
     job = evaluate_batch(
-        options.scenes,
+        arguments.files(options.scenes),
         options.out,
         arguments.settings_from(options, BatchSettings, phones=phones),
         options.seeds,

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from xihe_blender.cli.arguments import adder
+from xihe_blender.cli.arguments import adder, files
 from xihe_blender.cli.progress import progress_line
 
 
@@ -25,7 +25,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     from xihe_blender.lab.frontier.study import frontier
 
     settings = FrontierSettings(options.quick, options.seed)
-    job = frontier(options.scenes, options.out, settings, options.command_line)
+    job = frontier(files(options.scenes), options.out, settings, options.command_line)
     for answer in run_blocking(job, progress_line(stderr)).answers:
         print(f"{answer.scene}: {answer.question} {answer.answer}", file=stdout)
     print(options.out / "report.html", file=stdout)

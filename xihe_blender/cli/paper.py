@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from xihe_blender.cli.arguments import adder
+from xihe_blender.cli.arguments import adder, files
 from xihe_blender.cli.progress import EXIT_IN_PART, progress_line
 
 
@@ -26,7 +26,9 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
     from xihe_blender.jobs import run_blocking
     from xihe_blender.lab.paper.run import PaperSettings, evaluate_paper
 
-    settings = PaperSettings(options.quick, tuple(options.only), tuple(options.scenes), options.seed, options.document)
+    settings = PaperSettings(
+        options.quick, tuple(options.only), tuple(files(options.scenes)), options.seed, options.document
+    )
     results = run_blocking(evaluate_paper(options.out, settings, options.command_line), progress_line(stderr))
     for one in results:
         print(f"{one.name}: {one.failed_because or f'{len(one.rows)} figures'}", file=stdout)
