@@ -11,12 +11,14 @@ from previs_runs import walk
 from tiny_scenes import empty_scene
 
 from xihe_blender.addon import leftovers
-from xihe_blender.addon.background_run import BackgroundRun, saved_for_run
+from xihe_blender.addon.background_run import BackgroundRun, RunState, saved_for_run
 from xihe_blender.addon.modal_job import RunUnderWay
 from xihe_blender.addon.panels import ended_elsewhere
 from xihe_blender.addon.run_operators import Following
 from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
+from xihe_blender.io.json_records import as_json
+from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Progress, run_blocking
 
 
@@ -29,6 +31,28 @@ def test_a_run_that_ended_early_says_how_to_go_on_and_where_its_console_is(tmp_p
             run_blocking(BackgroundRun(run.folder, process).follow())
         console = run.outputs.console
         assert str(raised.value) == f"the run ended early{ended}: Resume goes on with it. Its console is in {console}"
+
+
+HOLDS_A_LOCK = """
+import sys
+from pathlib import Path
+from xihe_blender.io.folder_manifest import take_lock
+file = Path(sys.argv[1]).open("ab")
+memory = b"x" * 200_000_000  # Which takes a moment to be given back.
+print(take_lock(file), flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_run_of_another_blender_has_ended_when_it_is_stopped(tmp_path):
+    run = saved_for_run(bpy.context.scene, tmp_path, {})
+    piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", HOLDS_A_LOCK, str(run.outputs.lock)], **piped) as other:
+        assert other.stdout.readline() == "True\n"
+        write_json(run.outputs.progress, as_json(RunState(0, 1, "", {}, pid=other.pid, error="")))
+        assert run.is_under_way
+        run.stop()
+        assert not run.is_under_way
 
 
 def test_a_run_whose_scene_was_renamed_is_shown_there_and_one_whose_scene_was_deleted_in_no_other(tmp_path, addon):

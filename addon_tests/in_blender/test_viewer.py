@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import tempfile
 import zlib
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -218,13 +219,22 @@ def test_the_button_writes_the_same_page_and_leaves_the_open_file_alone(done):
 
 def test_a_button_that_is_stopped_ends_what_it_started_and_leaves_no_file(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    started, popen = [], subprocess.Popen
-    monkeypatch.setattr(subprocess, "Popen", lambda *given, **how: started.append(popen(*given, **how)) or started[-1])
+    started, popen, environments = [], subprocess.Popen, []
+
+    def start(*given, **how):
+        environments.append(how["env"])
+        started.append(popen(*given, **how))
+        return started[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", start)
     job = second_blender(["video", str(tmp_path / "run")], "saving the video")
     assert next(job).doing == "saving the video"
     job.close()
     assert started[0].returncode is not None
     assert not list(tmp_path.iterdir())
+    # Blender asks the second first on Windows, and the third elsewhere.
+    (folder,) = {environments[0][name] for name in ("TMPDIR", "TEMP", "TMP")}
+    assert Path(folder).parent == tmp_path
 
 
 def test_the_button_exports_what_the_command_does(done, tmp_path):

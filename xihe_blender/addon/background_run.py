@@ -37,6 +37,10 @@ from xihe_blender.scene.blend_file import save_copy
 COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")
 LOOK_EVERY_S = 0.2
+OF_WINDOWS = ("BELOW_NORMAL_PRIORITY_CLASS", "CREATE_NO_WINDOW")
+ENDS_WITHIN_S = 5.0
+"""Of a second Blender that was ended."""
+
 NICENESS = 19
 """Of the second Blender, the most there is: it has what the window and all else that is open leave."""
 EDITABLE = (bpy.types.Object, bpy.types.Material, bpy.types.Light, bpy.types.World, bpy.types.Camera, bpy.types.Mesh)
@@ -141,9 +145,9 @@ class BackgroundRun:
                 stdin=subprocess.DEVNULL,
                 stdout=console,
                 stderr=subprocess.STDOUT,
-                # Neither Ctrl-C in a terminal nor its end reaches it.
+                # Neither Ctrl-C in a terminal nor its end reaches it. On Windows it has a console of its own for that.
                 start_new_session=True,
-                creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),
+                creationflags=sum(getattr(subprocess, name, 0) for name in OF_WINDOWS),
             )
         _let_go_first(self.process.pid)
 
@@ -158,6 +162,9 @@ class BackgroundRun:
             with contextlib.suppress(OSError):
                 # On Windows any signal ends a process at once.
                 os.kill(state.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+            until = time.perf_counter() + ENDS_WITHIN_S
+            while self.is_under_way and time.perf_counter() < until:  # Until then its files are open.
+                time.sleep(0.02)
 
     def discard(self) -> None:
         """Stop it, if it is under way, and delete its folder, and the folder for runs if it was the last."""

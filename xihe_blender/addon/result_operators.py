@@ -203,7 +203,7 @@ def second_blender(arguments: Sequence[str], doing: str) -> Job[None]:
             process = subprocess.Popen(
                 program if bpy.app.binary_path else [sys.executable, "-c", code],
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr,
-                env=os.environ | {"TMPDIR": temporary},
+                env=os.environ | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), temporary),
             )  # fmt: skip
         try:
             yield Progress(0, 1, doing)
