@@ -85,6 +85,8 @@ class Intrinsics:
     def __post_init__(self) -> None:
         if not all(side >= 1 and side % 1 == 0 for side in (self.width, self.height)):
             raise ValueError(f"Intrinsics: expected whole pixels, one at least, got {self.width} x {self.height}")
+        for name in ("width", "height"):  # JSON and tables often have them as floats.
+            object.__setattr__(self, name, int(getattr(self, name)))
         if not all(SHORTEST_FOCAL_PX <= focal <= FARTHEST_PX for focal in (self.fx, self.fy)):
             raise ValueError(
                 f"Intrinsics: focal lengths must be positive, {SHORTEST_FOCAL_PX:g} to {FARTHEST_PX:g} pixels, got "

@@ -85,6 +85,12 @@ def test_intrinsics_that_make_no_sense_are_refused(wrong):
         Intrinsics(*wrong)
 
 
+def test_sizes_that_come_as_floats_are_whole_numbers():
+    """As from JSON: a session with reflections stopped at them, deep within."""
+    intrinsics = Intrinsics(4.0, np.float32(3), 2.0, 2.0, 2.0, 1.5)
+    assert (type(intrinsics.width), type(intrinsics.height)) == (int, int)
+
+
 @pytest.mark.parametrize(
     ("srgb", "distance_m", "is_set", "message"),
     [
