@@ -41,12 +41,23 @@ def scaled(factor):
     return lambda frame: replace(frame, plane_depth_m=frame.plane_depth_m * np.float32(factor))
 
 
+def turned(frame, quarters=-1):
+    """The picture alone, by quarters to the left: its pose stays that of the sensor."""
+    for _ in range(quarters % 4):
+        k = frame.intrinsics
+        k = replace(k, width=k.height, height=k.width, fx=k.fy, fy=k.fx, cx=k.cy, cy=k.width - k.cx)
+        depth_m, srgb_u8 = np.rot90(frame.plane_depth_m), np.rot90(frame.srgb_u8)
+        frame = replace(frame, srgb_u8=srgb_u8, plane_depth_m=depth_m, intrinsics=k)
+    return frame
+
+
 WRONG = {
     ("camera axes", AS_READ): posed(lambda pose: pose @ BLENDER_FROM_OPENCV_CAMERA),
     ("transposed", AS_READ): posed(transposed),
     ("inverse", AS_READ): posed(np.linalg.inv),
     ("w first", AS_READ): posed(w_first),
     ("left-handed", AS_READ): posed(lambda pose: MIRROR @ pose @ MIRROR),
+    ("turned right", AS_READ): turned,
     (AS_READ, "10 x"): scaled(10),
     (AS_READ, "ray distance"): as_ray_distance,
 }
@@ -106,6 +117,13 @@ def test_the_sentence_says_what_fits_and_how_well():
 def test_units_of_depth_are_told(factor, name):
     found = suspect([scaled(factor)(frame) for frame in right(2)])
     assert (found.poses, found.depth) == (AS_READ, name) and found.share > 0.95
+
+
+@pytest.mark.parametrize(("quarters", "name"), [(1, "turned left"), (2, "upside down"), (3, "turned right")])
+@pytest.mark.parametrize("is_opencv", [False, True])
+def test_pictures_that_were_turned_without_their_poses_are_told(quarters, name, is_opencv):
+    found = suspect([turned(frame, quarters) for frame in right(1)], is_opencv=is_opencv)
+    assert (found.poses, found.depth) == (name, AS_READ) and found.share > 0.95
 
 
 @pytest.mark.parametrize("up", ["y", "-z"])

@@ -36,6 +36,9 @@ SAID_OF_POSES = {
     "inverse, camera axes": ("The poses look like camera-from-world of cameras that look {axes}", "their inverse fits"),
     "w first": ("The poses' quaternions look as if w came first", "as w x y z they fit"),
     "left-handed": ("The poses look left-handed, as Unity's are", "with z mirrored in world and camera they fit"),
+    "turned right": ("The pictures look turned by a quarter to the right beside their poses", "turned back they fit"),
+    "turned left": ("The pictures look turned by a quarter to the left beside their poses", "turned back they fit"),
+    "upside down": ("The pictures look upside down beside their poses", "turned by half they fit"),
 }
 SAID_OF_DEPTH = {
     "5 x": ("The depth looks 5 times too large", "divided by 5 it fits"),

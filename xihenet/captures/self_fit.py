@@ -28,8 +28,12 @@ FEWEST_PAIRS = 3  # With at least FEWEST_OF_PAIR of them each
 FEWEST_OF_PAIR = 20
 
 AS_READ = "as read"
-POSES = (AS_READ, "camera axes", "transposed", "inverse", "inverse, camera axes", "w first", "left-handed")
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
+QUARTER = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])  # To the left, about the optical axis
+TURNED = {"turned right": QUARTER, "turned left": QUARTER.T, "upside down": QUARTER @ QUARTER}
+"""What poses lack where pictures were turned so, as phones show them upright, and the poses are of the sensor."""
+
+POSES = (AS_READ, "camera axes", "transposed", "inverse", "inverse, camera axes", "w first", "left-handed", *TURNED)
 DEPTHS = {
     AS_READ: 1.0,
     "5 x": 5.0,
@@ -89,6 +93,8 @@ class Recording:
         cameras = [_corrected(view.pose @ self.read_axes, poses) @ self.read_axes for view in self.views]
         if poses.endswith("camera axes"):
             cameras = [camera @ BLENDER_FROM_OPENCV_CAMERA for camera in cameras]
+        if poses in TURNED:
+            cameras = [camera @ TURNED[poses] for camera in cameras]
         if poses == "left-handed":  # x right, y up, z forward, whatever was said of the camera
             cameras = [MIRROR @ view.pose @ self.read_axes @ MIRROR for view in self.views]
         if not has_steps:
