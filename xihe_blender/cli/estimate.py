@@ -159,7 +159,6 @@ def as_json(
             {
                 "position_m": list(one.position_m),
                 "coverage": one.light.coverage,
-                "n_skipped_points": n_left_out(one.invalid),
                 "n_invalid_points": n_left_out(one.invalid),
                 "invalid": dict(one.invalid),
                 "in_view": one.is_in_view,

@@ -182,8 +182,7 @@ class ProbeResult:
     change: Annotated[float | None, "what the trigger compared with `threshold`; None for `first`"]
     threshold: Annotated[float | None, "None where nothing was compared"]
     n_changed_anchors: Annotated[int, "above it"]
-    n_skipped_points: Annotated[int, "points of this frame that were left out"] = 0
-    n_invalid_points: Annotated[int, "the same number"] = 0
+    n_invalid_points: Annotated[int, "points of this frame that were left out"] = 0
     invalid: Annotated[Counts, "these, and clamped distances (docs/invalid_data.md)"] = field(default_factory=dict)
     is_valid: Annotated[bool, "false where the light could not be known, so that the last one stays"] = True
     unknown_because: Annotated[str | None, "why, else None"] = None

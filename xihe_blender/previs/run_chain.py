@@ -191,7 +191,6 @@ class _ChainRun:
             change=finite_or_none(report.decision.change),
             threshold=finite_or_none(report.decision.threshold),
             n_changed_anchors=report.decision.n_changed_anchors,
-            n_skipped_points=report.n_invalid_points,
             n_invalid_points=report.n_invalid_points,
             invalid=dict(report.invalid),
             is_valid=not report.unknown_because,
