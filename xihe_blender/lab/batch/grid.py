@@ -42,7 +42,6 @@ class BatchSettings:
     light: Annotated[LightParts, AS_IN_A_RUN] = "sh"
     size: Annotated[tuple[int, int] | None, AS_IN_A_RUN] = None
     frames: Annotated[tuple[int, ...] | None, AS_IN_A_RUN] = None
-    noise_target: Annotated[float | None, AS_IN_A_RUN] = None
     samples: Annotated[int | None, AS_IN_A_RUN] = None
     trigger: Annotated[Rule, "its name"] = "split"
     network: Annotated[str | None, AS_IN_A_RUN] = None
