@@ -18,7 +18,7 @@ class Ambient(Estimator):
     """Constant light from the frame's sensor; without one, the mean of the set anchors; without those, black."""
 
     name = "ambient"
-    is_quick = True
+    is_quick, uses_anchors = True, False
     needs = frozenset({"frame"})
 
     def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:

@@ -46,6 +46,7 @@ class Estimator(ABC):
 
     name: ClassVar[str]
     needs: ClassVar[frozenset[str]] = frozenset()  # fields of `EstimateContext` that this estimator is made for
+    uses_anchors: ClassVar[bool] = True  # False where the light comes from elsewhere, so that no trigger changes it
     farthest_m: ClassVar[float] = np.inf  # distances beyond are taken for this one
     is_quick: ClassVar[bool] = False  # whether 16 estimates take some 15 ms at most, so that a server needs no thread
 

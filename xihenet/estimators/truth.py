@@ -12,6 +12,7 @@ class Truth(Estimator):
     """Hands on `context.truth_sh`; ValueError where it is missing."""
 
     name = "truth"
+    uses_anchors = False
     needs = frozenset({"truth_sh"})
 
     def unknown_because(self, cloud: UnitSphereCloud, context: EstimateContext) -> str:

@@ -59,8 +59,6 @@ from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import scene_kept
 
 FACTORS = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0)
-WITHOUT_ANCHORS = ("ambient", "truth")
-"""Estimators that look at nothing the trigger watches."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +245,7 @@ def trigger_sweep(run: PreparedRun, chain: ChainResult) -> list[TriggerFigures]:
 
     Empty for estimators that do not look at the anchors, and for a path that sees no position.
     """
-    if run.settings.estimator in WITHOUT_ANCHORS or not any(entry.active for entry in chain.frames):
+    if not run.estimator.uses_anchors or not any(entry.active for entry in chain.frames):
         return []
     own = run.settings.trigger_in_use
     factors = FACTORS if own.theta or own.coverage_theta else (1.0,)
