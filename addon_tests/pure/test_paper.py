@@ -19,7 +19,7 @@ from xihe_blender.lab.paper.records import Place, Row, Session, Study, StudyOpti
 from xihe_blender.lab.paper.report import paper_markdown, report_page
 from xihe_blender.lab.paper.studies.anchors_uniform import GridAnchors
 from xihe_blender.lab.paper.studies.probes import inside_rim, spheres_error
-from xihenet import estimators
+from xihenet import estimators, metrics
 from xihenet.edge.bench import seen_frame
 
 ROOT = Path(__file__).parents[2]
@@ -109,6 +109,13 @@ def test_a_study_that_is_stopped_leaves_nothing_and_the_next_run_measures_it(tmp
     assert not result.exists()
     run_blocking(paper.measure_studies([STUDY], sessions, tmp_path, SETTINGS, "a"))
     assert len(json.loads(result.read_text())["rows"]) == 2
+
+
+def test_a_study_is_measured_anew_when_what_all_studies_share_has_changed(monkeypatch, tmp_path):
+    run_blocking(paper.measure_studies([STUDY], [SESSION], tmp_path, SETTINGS, "a"))
+    assert paper.kept_result(tmp_path, STUDY, "a") is not None
+    monkeypatch.setattr(paper, "clouds", metrics)
+    assert paper.kept_result(tmp_path, STUDY, "a") is None
 
 
 def test_a_study_that_cannot_be_measured_says_why_and_is_tried_again(tmp_path):

@@ -1,9 +1,9 @@
 """The evaluation's run: it can be stopped, and no study is measured twice.
 
 Rooms are recorded first, into `sessions`; then each study writes results/NAME.json, whole, when its last row is
-there. The file says what it was made from: seed, size, the sessions' scenes, weights of networks and the study's
-own source. A study whose file says the same is not run again. Tables, report and page are made from those files
-alone.
+there. The file says what it was made from: seed, size, the sessions' scenes, weights of networks, and the source of
+the study and of `clouds`. A study whose file says the same is not run again. Tables, report and page are made from
+those files alone.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from xihe_blender.io.json_records import Json, as_json
 from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import write_csv, write_json
 from xihe_blender.jobs import Job, Progress, part_of
-from xihe_blender.lab.paper import studies
+from xihe_blender.lab.paper import clouds, studies
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, StudyResult
 from xihe_blender.lab.paper.report import paper_markdown, report_page
 from xihe_blender.lab.paper.sessions import QUICK_WALK, WalkSettings, check_session, recorded_session, scene_files
@@ -165,7 +165,7 @@ def kept_result(out: Path, study: Study, inputs: str) -> StudyResult | None:
 
 
 def _made_from(study: Study, inputs: str) -> str:
-    source = inspect.getsource(inspect.getmodule(study.measure) or studies)
+    source = inspect.getsource(inspect.getmodule(study.measure) or studies) + inspect.getsource(clouds)
     return hashlib.sha256(f"{study.name}\n{inputs}\n{source}".encode()).hexdigest()
 
 
