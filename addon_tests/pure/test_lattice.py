@@ -10,6 +10,7 @@ from xihenet.colour import linear_to_srgb
 from xihenet.estimators import weights_format
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import EstimateContext
+from xihenet.estimators.calibration import raw_error
 from xihenet.estimators.lattice import FAINTEST, Lattice, of_one_shape
 from xihenet.estimators.lattice_format import (
     LEVELS,
@@ -159,6 +160,12 @@ def test_what_is_added_is_at_most_twice_the_error_that_is_expected(tmp_path):
     given, expected_error = Lattice(1280, "hdr", weights=tmp_path / "w.npz").estimate_batch_with_error(*clouds)
     size = np.linalg.norm(given, axis=(1, 2)) / np.sqrt(27)  # of the light, with which the estimator averages it
     np.testing.assert_allclose(np.log(expected_error), (np.log(network_error) + 3 * np.log(size)) / 4, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1e-1, 1e20, 1e200])
+def test_the_size_of_the_light_counts_in_its_error_however_large_it_is(size):
+    light = np.random.default_rng(0).normal(size=(2, 9, 3))
+    np.testing.assert_allclose(raw_error([size] * 2, size * light), size * raw_error([1.0] * 2, light))
 
 
 @pytest.mark.parametrize("gains", [4.0, 0.25, [1.3, 1.0, 0.6], [0.5, 0.9, 2.0]])

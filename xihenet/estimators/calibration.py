@@ -32,7 +32,8 @@ def raw_error(network_error: ArrayLike, sh_radiance: ArrayLike) -> ArrayF64:
     more wrong than it is bright. Both scale with the exposure. Light of less than `DARKEST` counts as that: that hardly
     anything was seen, or that it was dark, is no reason to be sure.
     """
-    size = np.sqrt(np.mean(np.square(np.asarray(sh_radiance, np.float64)), axis=(1, 2)))
+    # Not by squares, which overflow from 1e154 on.
+    size = np.hypot.reduce(np.reshape(sh_radiance, (-1, 27)).astype(np.float64), axis=1) / np.sqrt(27)
     return np.asarray(network_error, np.float64) ** (1 - OF_SIZE) * np.maximum(size, DARKEST) ** OF_SIZE
 
 
