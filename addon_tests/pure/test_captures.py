@@ -17,6 +17,7 @@ from addon_tests.pure.recordings import (
     TUM,
     as_nerfstudio,
     as_plain,
+    as_plain_files,
     as_polycam,
     as_record3d,
     as_tum,
@@ -205,6 +206,15 @@ def test_pictures_with_accents_that_are_copied_later_are_found(tmp_path):
     assert len(open_capture(tmp_path).frames) == 1
     picture.rename(tmp_path / unicodedata.normalize("NFD", "ä.png"))
     assert len(open_capture(tmp_path).frames) == 2
+
+
+def test_files_of_a_plain_folder_belong_together_in_either_form_of_their_accents(tmp_path):
+    as_plain_files(tmp_path, walk(SMALL, 2))
+    for number, name in enumerate(("colour", "depth", "confidence", "poses")):
+        for path in list((tmp_path / name).iterdir()):
+            path.rename(path.with_stem(unicodedata.normalize(("NFC", "NFD")[number % 2], f"Gerät {path.stem}")))
+    capture = open_capture(tmp_path)
+    assert len(capture.frames) == 2 and not any("left out" in note or "confidence" in note for note in capture.notes)
 
 
 def test_frames_can_be_left_out_and_missing_pictures_are_counted(tmp_path):

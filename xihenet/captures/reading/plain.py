@@ -14,7 +14,8 @@ A pose with a number that is not finite is of a moment at which tracking was los
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import unicodedata
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,19 +47,20 @@ def read(folder: Path, up: str | None) -> Capture:
         )
         if not (1e-9 < metres_per_unit < 1e3 and 1e-6 < fps < 1e6):
             raise ValueError("metres_per_unit and frames_per_second: expected positive numbers")
-    colours, depths = _images(folder / "colour"), {path.stem: path for path in _images(folder / "depth")}
+    colours, depths = _images(folder / "colour"), _by_name(_images(folder / "depth"))
+    confidences = _by_name((folder / "confidence").glob("*.png"))
     poses, times_s = _poses(folder, colours)
     frames, are_sure = [], []
     for i, (colour, pose) in enumerate(zip(colours, poses, strict=True)):
-        if pose is None or colour.stem not in depths:
+        name = _name(colour)
+        if pose is None or name not in depths:
             continue
         with named(f"{folder}, pose of {colour.name}"):
             camera = frame_camera(intrinsics, pose.tolist(), is_opencv=is_opencv, up=up or said_up)
         time_s = i / fps if times_s is None else float(times_s[i] - times_s[0])
-        confidence = folder / "confidence" / f"{colour.stem}.png"
-        are_sure.append(confidence.is_file())
-        depth = depths[colour.stem]
-        frames.append(picture_frame(i + 1, time_s, camera, colour, depth, metres_per_unit, confidence))
+        confidence = confidences.get(name)
+        are_sure.append(confidence is not None)
+        frames.append(picture_frame(i + 1, time_s, camera, colour, depths[name], metres_per_unit, confidence))
     if not frames:
         wanted = f": expected finite numbers, and depth/{colours[0].stem}.png for {colours[0].name}" if colours else ""
         raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name{wanted}")
@@ -69,6 +71,15 @@ def read(folder: Path, up: str | None) -> Capture:
     if (folder / "confidence").is_dir():
         notes += without_confidence(are_sure)
     return Capture("plain folder", frames, BLENDER_FROM_UP[up or said_up], notes, is_opencv=is_opencv)
+
+
+def _name(path: Path) -> str:
+    """By which files belong together: a Mac's copies may have accents beside their letters."""
+    return unicodedata.normalize("NFC", path.stem)
+
+
+def _by_name(paths: Iterable[Path]) -> dict[str, Path]:
+    return {_name(path): path for path in paths}
 
 
 def _images(folder: Path) -> list[Path]:
@@ -82,8 +93,9 @@ def _poses(folder: Path, colours: Sequence[Path]) -> tuple[list[ArrayF64 | None]
     if not (folder / LINES).is_file():
         if not (folder / "poses").is_dir():
             raise ValueError(f"{folder}: expected {LINES} or a folder poses/ beside {FILE}")
-        files = [folder / "poses" / f"{colour.stem}.txt" for colour in colours]
-        return [_matrix(_words(path), path) if path.is_file() else None for path in files], None
+        files = _by_name((folder / "poses").glob("*.txt"))
+        found = (files.get(_name(colour)) for colour in colours)
+        return [None if path is None else _matrix(_words(path), path) for path in found], None
     path = folder / LINES
     lines = [line.split() for line in _words(path, "\n") if line.strip() and not line.startswith("#")]
     if len(lines) != len(colours):
