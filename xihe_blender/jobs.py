@@ -134,8 +134,8 @@ def part_of(whole: float, done: float, share: float, job: Job[Result], scene: st
     return shown(job, lambda own: Progress(done + share * (own.done / own.total), whole, prefix + own.doing))
 
 
-def shown(steps: Generator[Step, None, Result], say: Callable[[Step], Progress]) -> Job[Result]:
-    """A job of `steps`, which yield something else, or Progress of their own; `say` says what each of them shows."""
+def shown(steps: Generator[Step, None, Result], say: Progress | Callable[[Step], Progress]) -> Job[Result]:
+    """A job of `steps`, which yield something else, or Progress of their own; `say` is, or says, what each shows."""
     with contextlib.closing(steps):
         while True:
             try:
@@ -143,7 +143,7 @@ def shown(steps: Generator[Step, None, Result], say: Callable[[Step], Progress])
             except StopIteration as finished:
                 result: Result = finished.value
                 return result
-            yield say(step)
+            yield say if isinstance(say, Progress) else say(step)
 
 
 def timed(job: Job[Result]) -> Job[tuple[Result, float]]:

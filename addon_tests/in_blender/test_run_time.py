@@ -30,13 +30,15 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene():
 
 
 @pytest.mark.slow
-def test_it_can_be_stopped_after_each_frame_of_the_survey_and_each_capture():
+def test_it_can_be_stopped_after_each_frame_of_the_survey_each_capture_and_each_picture_of_a_light_probe():
     scene = walk()
     with counted_renders() as renders:
         n_done = [Counter(renders) for _ in run_time_job(scene, replace(SMALL, frames=(1, 2, 3)))]
     steps = [after - before for before, after in itertools.pairwise(n_done)]
     captured = [step["Xihe Capture"] for step in steps]
     assert max(captured) == 1 < sum(captured)
+    pictures = [step["Xihe Reference Probe"] for step in steps]
+    assert max(pictures) <= 2 < sum(pictures), "the last one, and a denoised one"
     assert [step["Xihe Effects"] for step in steps][:3] == [1, 1, 1]
 
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple, TypeVar
@@ -192,9 +192,19 @@ class ReferenceProbe:
 
     def light_at(self, index: int, frame: int, exposure: float = 1.0) -> ReferenceLight:
         """The light at the `index`-th position in `frame`; `exposure` says where white is."""
+        steps = self.light_by_steps(index, frame, exposure)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as finished:
+                light: ReferenceLight = finished.value
+                return light
+
+    def light_by_steps(self, index: int, frame: int, exposure: float = 1.0) -> Generator[None, None, ReferenceLight]:
+        """As `light_at`; it can be left before each picture."""
         self.scene.frame_set(frame)
         gain, order = np.float32(exposure), self.settings.order
-        views, ldr, ldr_noise = self._measure(
+        views, ldr, ldr_noise = yield from self._measure(
             lambda number: _exposed_view(self.view(index, number), gain),
             lambda views: _lights_seen(views, None, order),
             self.settings.max_ldr_samples,
@@ -206,7 +216,7 @@ class ReferenceProbe:
             smooth = _exposed_view(rendered, gain)
             ldr, ldr_noise = _mean_and_noise(_lights_seen(views, smooth.radiance, order))
         known: Means = {}
-        cones, hdr, hdr_noise = self._measure(
+        cones, hdr, hdr_noise = yield from self._measure(
             lambda number: self.cones(index, number),
             lambda cones: lights_of_cones([finite_rgb(cone.passes, "Combined") for cone in cones], known) * gain,
             self.settings.max_samples,
@@ -220,7 +230,7 @@ class ReferenceProbe:
 
     def _measure(
         self, take: Callable[[int], Picture], lights: Callable[[Sequence[Picture]], ArrayF64], most: int
-    ) -> tuple[list[Picture], ArrayF64, float | None]:
+    ) -> Generator[None, None, tuple[list[Picture], ArrayF64, float | None]]:
         """Picture after picture, until the mean of their lights is good enough or there are `most`; it and its noise.
 
         `lights` are (n, coefficients, 3) of each picture.
@@ -231,7 +241,9 @@ class ReferenceProbe:
             # A fifth more at a time: clipping looks at all of them anew.
             n = len(taken)
             enough_to_judge = max(min(FEWEST_SAMPLES, most), n + n // 5, n + 1)
-            taken += [take(number) for number in range(n, min(enough_to_judge, most))]
+            for number in range(n, min(enough_to_judge, most)):
+                yield
+                taken.append(take(number))
             light, noise = _mean_and_noise(lights(taken))
             if len(taken) >= most or (target is not None and noise is not None and noise <= target):
                 return taken, light, noise

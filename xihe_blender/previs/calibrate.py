@@ -66,7 +66,7 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
     with scene_kept():
         survey = yield from part_of(3, 0, 0, survey_path(scene, plan))
         metering = meter_exposure(scene, plan.frames, settings.seed, metering=settings.metering_in_force)
-        exposure = settings.exposure or (yield from shown(metering, lambda _: Progress(0, 3, "metering the exposure")))
+        exposure = settings.exposure or (yield from shown(metering, Progress(0, 3, "metering the exposure")))
         views = pilot_views(plan, survey)
         if not views:
             raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or it")
@@ -85,7 +85,7 @@ def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibrati
                 seen.append(scanner.acquire_environment_scan())
 
             timing = time_renders(render, (view[0],) * N_RENDERS, FEW_SAMPLES, scanner.scene)
-            _, capturing = yield from shown(timing, lambda _: Progress(2, 3, "timing a few samples"))
+            _, capturing = yield from shown(timing, Progress(2, 3, "timing a few samples"))
         step_ms = _timed_step(seen[-1], view[1][0])
     samples = {name: samples_taken(preset, noise) for name, preset in PRESETS.items()}
     frame_s = {name: replace(capturing, samples=n).render_s for name, n in samples.items()}

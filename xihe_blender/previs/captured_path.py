@@ -22,7 +22,7 @@ from xihe_blender.io.json_records import Parameters, as_json
 from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.io.provenance import machine, software
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.previs.kept_session import KeptSession, kept_session
 from xihe_blender.previs.plan import (
     PrevisPlan,
@@ -104,11 +104,13 @@ def measured_lights(run: PreparedRun, positions_m: Sequence[ArrayLike]) -> Job[l
     with open_reference_probe(run.scene, places_m, run.reference) as probe:
         for index, place_m in enumerate(places_m):
             doing = f"rendering light probe {index + 1} of {len(places_m)}"
-            yield Progress(index, len(places_m), doing, {"light probes": len(places_m) - index})
+            progress = Progress(index, len(places_m), doing, {"light probes": len(places_m) - index})
+            yield progress
             path = run.outputs.reference(0, "-".join(f"{c:.3f}" for c in place_m), frame)
             light = kept_record(MeasuredLight, path)
             if light is None:
-                light = probe.light_at(index, frame, run.exposure).measured
+                steps = probe.light_by_steps(index, frame, run.exposure)
+                light = (yield from shown(steps, progress)).measured
                 write_json(path, as_json(light))
             lights.append(light.of(run.settings.target))
     return lights

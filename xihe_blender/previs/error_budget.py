@@ -175,7 +175,7 @@ def _with_one_seed(run: PreparedRun, moments: Moments) -> Job[dict[str, SeedErro
     yield step
     errors = {}
     for item in run.plan.objects:
-        errors[item.name] = yield from shown(budget.of_object(item.name), lambda _: step)
+        errors[item.name] = yield from shown(budget.of_object(item.name), step)
     return {name: one for name, one in errors.items() if one is not None}
 
 

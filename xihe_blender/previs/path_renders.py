@@ -24,7 +24,7 @@ from xihe_blender.io.json_records import as_json, read_record
 from xihe_blender.io.kept_files import kept_json, kept_record, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, finite_or_none, write_json, write_picture
 from xihe_blender.io.run_results import CaptureRender, ProbeRender, Rendering
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Steps, shown
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.simulated_phone import CaptureNeeds
@@ -99,13 +99,13 @@ def _capture(run: PreparedRun, frame: int, scanner: CyclesScanner) -> float:
     return render_s
 
 
-def _measure(run: PreparedRun, frame: int, probe: Probe, reference_probe: ReferenceProbe) -> float:
+def _measure(run: PreparedRun, frame: int, probe: Probe, reference_probe: ReferenceProbe) -> Steps[float]:
     """Keep the reference light at `probe` in `frame`; seconds of rendering."""
     source, index = run.reuse.probes[frame, probe.name], run.plan.probes.index(probe)
     panorama = functools.partial(run.outputs.probe, index, probe.name)
     if source == frame:
         reference_probe.move(index, probe.at(frame))
-        light = reference_probe.light_at(index, frame, run.exposure)
+        light = yield from reference_probe.light_by_steps(index, frame, run.exposure)
         measured = light.measured
         write_radiance(panorama(frame), light.panorama)
         if run.settings.has_reflections:
@@ -199,7 +199,7 @@ def render_captures(run: PreparedRun) -> Job[dict[int, float]]:
     return work_s
 
 
-def _measure_missing(run: PreparedRun, work_s: dict[int, float]) -> Iterator[Progress]:
+def _measure_missing(run: PreparedRun, work_s: dict[int, float]) -> Job[None]:
     asked = [(frame, probe) for frame in run.plan.frames for probe in run.probes_in_view(frame)]
     missing = [(frame, probe) for frame, probe in asked if not _is_measured(run, frame, probe)]
     if not missing:
@@ -207,9 +207,11 @@ def _measure_missing(run: PreparedRun, work_s: dict[int, float]) -> Iterator[Pro
     with run.open_probes(run.plan.probes) as reference_probe:
         done_shares = _done_shares([run.reuse.probes[frame, probe.name] == frame for frame, probe in missing])
         for (frame, probe), done_share in zip(missing, done_shares, strict=True):
-            yield run.progress("reference light", done_share, f"measuring the light at {probe.name} in frame {frame}")
-            start = time.perf_counter()
-            rendered_s = _measure(run, frame, probe, reference_probe)
+            doing = f"measuring the light at {probe.name} in frame {frame}"
+            progress = run.progress("reference light", done_share, doing)
+            yield progress
+            start, steps = time.perf_counter(), _measure(run, frame, probe, reference_probe)
+            rendered_s = yield from shown(steps, progress)
             work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start - rendered_s
 
 

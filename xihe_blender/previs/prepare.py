@@ -170,7 +170,7 @@ def prepare_run(
     exposure = settings.exposure or kept_json(outputs.exposure, positive_exposure)
     if exposure is None:
         metering = meter_exposure(scene, plan.frames, settings.seed, metering=settings.metering_in_force)
-        exposure = yield from shown(metering, lambda _: Progress(0, 1, "metering the exposure"))
+        exposure = yield from shown(metering, Progress(0, 1, "metering the exposure"))
         write_json(outputs.exposure, {"exposure": exposure})
     choices = overrides_in_force(scene, settings.effect_choices)
     effects = kept_or_made(
@@ -180,7 +180,7 @@ def prepare_run(
     )
     transport = cycles_settings(effects)
     measuring = measure_sample_count(scene, plan, survey, settings, exposure, transport)
-    told = shown(measuring, lambda _: Progress(0, 1, "measuring how many samples it takes"))
+    told = shown(measuring, Progress(0, 1, "measuring how many samples it takes"))
     count = yield from kept_or_done(SampleCount, outputs.sample_count, told)
     light = required_light(plan.objects) if settings.light == "auto" else settings.light
     settings = replace(settings, light=light, trigger=above_noise(settings.trigger_in_use, count.capture_change))

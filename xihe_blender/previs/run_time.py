@@ -117,10 +117,10 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
             captured[frame] = scanner.acquire_environment_scan()
 
         timing = time_renders(capture_at, frames, run.capture.samples, scanner.scene)
-        capture_loaded_s, capture = yield from shown(timing, lambda _: Progress(1, 4, "measuring a capture"))
-    probe_loaded_s, probe = yield from shown(_timed_probe(run), lambda _: Progress(2, 4, "measuring a light probe"))
+        capture_loaded_s, capture = yield from shown(timing, Progress(1, 4, "measuring a capture"))
+    probe_loaded_s, probe = yield from shown(_timed_probe(run), Progress(2, 4, "measuring a light probe"))
     comparing = _timed_comparison(run, frames, captured)
-    comparison_loaded_s, comparison = yield from shown(comparing, lambda _: Progress(3, 4, "measuring a comparison"))
+    comparison_loaded_s, comparison = yield from shown(comparing, Progress(3, 4, "measuring a comparison"))
     n_captures = sum(source == frame for frame, source in run.reuse.captures.items())
     n_probes = sum(source == frame for (frame, _), source in run.reuse.probes.items())
     n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
@@ -158,7 +158,7 @@ def _timed_probe(run: PreparedRun) -> Steps[tuple[float, RenderTime]]:
             yield
             index, probe = probes[name]
             reference_probe.move(index, probe.at(frame))
-            light = reference_probe.light_at(index, frame, run.exposure).measured
+            light = (yield from reference_probe.light_by_steps(index, frame, run.exposure)).measured
             taken = light.ldr_samples, light.hdr_samples
             of_ldr = replace(run.reference, max_samples=run.reference.max_ldr_samples)
             needed = (

@@ -220,7 +220,7 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
     scene, plan = study.scene, study.plan
     step = Progress(0, 1, "metering the exposure, looking for effects")
     yield step
-    exposure = yield from shown(meter_exposure(scene, plan.frames, study.settings.seed), lambda _: step)
+    exposure = yield from shown(meter_exposure(scene, plan.frames, study.settings.seed), step)
     effects = plan_effects(study.survey.required, overrides_in_force(scene, {}))
     transport, presets = cycles_settings(effects), {}
     for index, name in enumerate(PRESETS):

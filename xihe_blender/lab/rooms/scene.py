@@ -65,7 +65,7 @@ def add_scene(
     total = len(chosen) + len(positions_m) + 1
     with rooms_held(folder, {"format": store.FORMAT_VERSION, "scenes": True, **shared}), scene_kept():
         metering = meter_exposure(scene, chosen, metering=store.METERING)
-        exposure = yield from shown(metering, lambda _: Progress(0, total, "metering"))
+        exposure = yield from shown(metering, Progress(0, total, "metering"))
         _check_can_be_stored(scene, exposure)
         pictures, is_unhidden = [], []
         for picture, unhidden in _pictures(scene, chosen, RenderSettings(size, settings.view_samples), positions_m):
