@@ -234,7 +234,8 @@ def test_the_chain_has_the_same_words_everywhere():
     )
     assert " → ".join(chain) in " ".join(README.split())
     stages = previs.split("## What a run does")[1].split("##")[0]
-    assert re.findall(r"^\| (\w[\w ]*) \|", stages, re.MULTILINE) == ["stage", *chain]
+    said = re.findall(r"^\| (\w[\w ]*) \| (.*) \|$", stages, re.MULTILINE)[1:]
+    assert [name for name, _ in said] == chain and all(words.startswith(CHAIN[name]) for name, words in said)
     where = conventions.split("## Where is what")[1].split("`xihenet`, by what")[0]
     listed = ", ".join(re.findall(r"^\| (\w[^|]*) \|", where, re.MULTILINE)).split(", ")
     assert [word for word in listed if word in chain] == chain

@@ -115,7 +115,7 @@ def _key_figures(results: RunResults) -> str:
         *errors,
         (
             format_quantity(summary.mean_step_ms, "ms"),
-            "mean time of a frame's steps, all positions together, not rendering",
+            "mean time of the chain in a frame, all positions together, without rendering",
         ),
         (format_bytes(sum(probe.payload_bytes for probe in results.probes)), "sent to the estimator in total"),
         _rendering_figure(summary),

@@ -39,16 +39,16 @@ _RELATIVE = (
     "coverage fired, the newly seen share of the sphere."
 )
 CHAIN = {
-    "camera path": "the phone walks through the room",
-    "capture": "its colour picture and distances are rendered",
+    "camera path": "the phone moves along the path of the scene's camera",
+    "capture": "Cycles renders what the phone sees: colour and depth",
     "unproject": "the pixels become coloured points in the room",
-    "sample": "in every direction around a position, the nearest point is kept",
-    "merge": "what this frame shows is added to what was seen before",
+    "sample": "of the points around each virtual object, the nearest in each direction is kept",
+    "merge": "what this frame shows is added to what earlier frames showed",
     "trigger": "decides whether enough has changed for a new estimate",
-    "encode": "the samples are packed as they would be sent to a server",
-    "estimate": "spherical harmonics of the light at the position are computed",
-    "apply": "the virtual objects are lit by the estimate",
-    "compare": "the result is compared with path-traced ground truth",
+    "encode": "if so, the samples are packed as they would be sent to a server",
+    "estimate": "an estimator computes the light at the object: nine spherical-harmonic coefficients for each colour",
+    "apply": "the estimate lights the virtual object from the frame at which it arrives",
+    "compare": "the picture is compared with room and objects path-traced together",
 }
 REFLECT = "reflect"
 STAGES = (*list(CHAIN)[2:-2], REFLECT)
