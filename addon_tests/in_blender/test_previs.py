@@ -341,6 +341,7 @@ def test_a_path_that_never_sees_a_position_gives_results_and_a_report(tmp_path):
     results = run(scene, tmp_path)
     assert results["summary"]["n_active_frames"] == 0 and results["comparison"] == {}
     assert results["summary"]["n_captured_frames"] == 2
+    assert "No virtual object was in view" in results["warnings"][0] and "no virtual object" in format_summary(results)
     assert "2 frames had no estimation position in view" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 

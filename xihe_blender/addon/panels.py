@@ -341,8 +341,6 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             return
         if said := made_of(context.scene, run):
             sentence(context, layout, said, icon="INFO")
-        if not run.summary.n_active_frames:
-            sentence(context, layout, "No virtual object was in view of the camera in any frame", icon="ERROR")
         for said in shown_warnings(run):
             sentence(context, layout, said, icon="ERROR")
         if run.recording is not None:

@@ -64,6 +64,8 @@ def format_summary(results: dict[str, Any]) -> str:
     summary, estimator = run.summary, run.settings.estimator
     ratio = summary.rmse_against_ambient.get(estimator)
     line = f"{summary.n_active_frames} of {summary.n_frames} frames, {format_count(summary.n_estimates, 'estimate')}"
+    if summary.n_estimates == 0 and not run.active_frames:
+        return f"{line}: no virtual object was in view of the camera"
     line += format_unanswered(summary.invalid.lights)
     if run.network_in_use is not None:
         latency_ms = summary.mean_latency_ms

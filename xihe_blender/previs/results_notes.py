@@ -23,6 +23,8 @@ from xihenet.edge.client import EdgeBackend
 from xihenet.formats import format_count, format_frames, format_list
 from xihenet.invalid import format_reason
 
+NEVER_SEEN = "No virtual object was in view of the camera in any frame: move the camera's path, or an object."
+
 WORTH_TELLING = 0.1
 """Share of the light above white from which on a reader is told."""
 
@@ -42,11 +44,13 @@ def notes_and_warnings(
         warnings = recorded_warnings(run, frames)
         return (*recorded_notes(run, frames, recording), *warnings), tuple(warnings)
     unanswered, is_chosen = list(unanswered_notes(frames)), run.settings.exposure is not None
+    unseen = unseen_notes(frames)
     faults = list(faults_seen(run.survey.faults, frames, math.prod(run.plan.size), is_chosen=is_chosen))
     faults += dim_notes(run.scene, run.settings, run.exposure, frames)
     exposed, small = list(exposure_notes(run.settings, run.exposure, frames)), list(small_notes(frames))
     notes = (
         *frame_notes(run.scene, frames),
+        *unseen,
         *backend_notes(run),
         *unanswered,
         *light_notes(run.settings, run.plan.objects),
@@ -58,12 +62,16 @@ def notes_and_warnings(
         *white_notes(frames),
         *small,
     )
-    return notes, (*unanswered, *faults, *exposed, *small)
+    return notes, (*unseen, *unanswered, *faults, *exposed, *small)
+
+
+def unseen_notes(frames: Sequence[FrameResult]) -> list[str]:
+    return [] if any(entry.active for entry in frames) else [NEVER_SEEN]
 
 
 def recorded_warnings(run: PreparedRun, frames: Sequence[FrameResult]) -> list[str]:
     """Of a run on a recording, what asks the reader to check or change something."""
-    return [*unanswered_notes(frames), *(fault.said for fault in run.survey.faults)]
+    return [*unseen_notes(frames), *unanswered_notes(frames), *(fault.said for fault in run.survey.faults)]
 
 
 def recorded_notes(run: PreparedRun, frames: Sequence[FrameResult], recording: RecordingResult) -> Iterator[str]:

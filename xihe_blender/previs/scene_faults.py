@@ -365,8 +365,9 @@ def place_faults(scene: bpy.types.Scene, positions_m: dict[str, ArrayF64], camer
     offsets = cameras_m - np.stack(list(positions_m.values()))
     nearest_m = float(np.linalg.norm(offsets, axis=-1).min())
     if not NEAREST_M <= nearest_m <= FARTHEST_M:
+        through = "does its path lead through the object, or " if nearest_m < NEAREST_M else ""
         said = (
             f"The phone's smallest distance from a virtual object is {nearest_m:.3g} m: "
-            f"is the unit scale (Scene > Units) right? One Blender unit is {metres:g} m."
+            f"{through}is the unit scale (Scene > Units) right? One Blender unit is {metres:g} m."
         )
         yield Fault(name=scene.name, n=1, said=said)

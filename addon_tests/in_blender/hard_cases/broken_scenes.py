@@ -60,6 +60,11 @@ def put(name, **values):
     return change
 
 
+def to_phone(name):
+    """An object to where the camera is."""
+    return lambda scene: setattr(scene.objects[name], "location", scene.camera.location)
+
+
 def remove(*names):
     def change(scene):
         for name in names:
@@ -120,6 +125,10 @@ def lamp_alone(energy, kind="POINT"):
         add_lamp(scene, kind, (0.5, 0.5, 2.0), "Bulb", energy=energy)
 
     return change
+
+
+def no_light_threshold(scene):
+    scene.cycles.light_sampling_threshold = 0.0
 
 
 def lamp_that_breaks(scene):

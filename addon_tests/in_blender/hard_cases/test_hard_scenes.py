@@ -16,6 +16,7 @@ from addon_tests.in_blender.hard_cases.broken_scenes import (
     lamp_that_breaks,
     move_all,
     move_vertex,
+    no_light_threshold,
     no_world,
     paint_walls,
     panel,
@@ -23,6 +24,7 @@ from addon_tests.in_blender.hard_cases.broken_scenes import (
     remove,
     scale_all,
     sky,
+    to_phone,
     virtual_lamp,
 )
 from addon_tests.in_blender.hard_cases.outcome import believed, lit, previsualised, refused, same_light, says
@@ -30,6 +32,7 @@ from addon_tests.in_blender.hard_cases.outcome import believed, lit, previsualis
 STAGE = "blender"
 AS_IT_IS = same_light("of the room as it is")
 DARK = says("Neither the phone nor a light probe saw any light")
+NEVER_SEEN = says("No virtual object was in view of the camera")
 BEYOND_CLIPS = says("camera's clip range")
 NAN_PLACE = (math.nan, 0, 0)
 
@@ -116,6 +119,9 @@ CAMERAS = [
     case("clip planes behind the room show nothing", put("Phone", clip_end=60, clip_start=50), BEYOND_CLIPS),
     case("clip planes before the room show nothing", put("Phone", clip_start=1e-6, clip_end=1e-3), BEYOND_CLIPS),
     case("clip planes the wrong way round show nothing", put("Phone", clip_start=10, clip_end=1), BEYOND_CLIPS),
+    case("a camera at a lamp sees the room", [lamp_alone(100.0), to_phone("Bulb")], lit()),
+    case("a camera inside a virtual object is told so", to_phone("Ball"), says("does its path lead through", n=1)),
+    case("a camera that never sees a virtual object is told so", put("Phone", rotation_euler=(0, 0, 0)), NEVER_SEEN),
     case("a lens of 1 mm", put("Phone", lens=1), lit()),
     case("a lens of 1 km", put("Phone", lens=1e6), lit()),
 ]
@@ -129,6 +135,11 @@ LAMPS = [
         same_light("of 100 W", lamp_alone(100.0), within=1e-3),
     ),
     case("a lamp of 1e-9 W is below Cycles' light threshold", lamp_alone(1e-9), says("light threshold of 0.01")),
+    case(
+        "without that threshold, a lamp of 1e-30 W gives the light of 100 W at its own exposure",
+        [lamp_alone(1e-30), no_light_threshold],
+        same_light("of 100 W", lamp_alone(100.0), within=1e-3),
+    ),
     case("a sun of 1e9", [remove("Room"), lamp_alone(1e9, "SUN")], lit()),
     *(
         case(f"a lamp of {w:g} W is refused", lamp_alone(w), refused(f"lamp 'Bulb' has {w:g} as its strength"))
