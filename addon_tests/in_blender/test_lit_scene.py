@@ -26,6 +26,7 @@ from xihe_blender.apply.lit_scene import (
     CapturedFrames,
     bring_lamps,
     hide_behind_room,
+    keep_added,
     put_over_frames,
     remove_lit_scene,
     set_up_lit_scene,
@@ -150,6 +151,26 @@ def test_a_background_set_hides_objects_and_is_not_shown_itself():
     set_up_lit_scene(lit, [ball], {"Ball": (ball.name, bpy.data.worlds[0])})
     hide_behind_room(lit, scene, [ball])
     assert lit.objects["Xihe Lit Pillar"].is_holdout and lit.background_set is None
+
+
+def test_a_library_override_hides_objects_and_is_not_taken_for_an_added_object_once_the_file_is_opened_again(tmp_path):
+    scene = room_with_a_virtual_sphere()
+    cup = bpy.data.collections.new("Cup")
+    sphere(scene, "Cup Body", (0, 0, 0), 0.1, None, cup)
+    bpy.data.libraries.write(str(tmp_path / "library.blend"), {cup})
+    bpy.data.objects.remove(bpy.data.objects["Cup Body"])
+    bpy.data.collections.remove(cup)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.collections = ["Cup"]
+    wanted.collections[0].override_hierarchy_create(scene, bpy.context.view_layer)
+    lit = bpy.data.scenes.new(LIT_SCENE)
+    lit[ROOM], lit.use_extra_user = scene, True
+    hide_behind_room(lit, scene, list(virtual_collection(scene).objects))
+    room = opened(saved(tmp_path / "saved.blend"))
+    assert bpy.data.objects["Xihe Lit Cup Body"].is_holdout
+    assert keep_added() == []
+    remove_lit_scene()
+    assert [item.name for item in room.objects if item.name.startswith("Xihe")] == []
 
 
 def test_what_falls_hides_objects_where_it_is():
@@ -624,6 +645,18 @@ def test_removing_the_light_takes_it_away(ran, shown):
     remove_everything()
     bpy.context.view_layer.update()
     assert data_blocks(snapshot()) == data_blocks(ran.before)
+
+
+@pytest.mark.parametrize("deleted", ["scenes", "materials"])
+def test_nothing_is_left_where_the_user_has_deleted_the_scene_or_its_materials(ran, shown, deleted):
+    with registered_addon():
+        blocks = list(bpy.data.materials) if deleted == "materials" else [shown]
+        bpy.data.batch_remove(blocks)
+        remove_everything()
+    assert not has_anything(bpy.data.scenes["Scene"])
+    assert not [
+        item.name for item in bpy.data.user_map() if item.name.startswith("Xihe ") and item.name != "Xihe Virtual"
+    ]
 
 
 def test_pictures_that_are_gone_are_named(ran, tmp_path):

@@ -16,6 +16,7 @@ import shutil
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import bmesh
 import bpy
@@ -43,7 +44,10 @@ from xihe_blender.scene.virtual_objects import listed, virtual_collection
 from xihenet.io.frame_files import FrameCamera
 
 PHONE = "Xihe Phone"
-"""Begins the names of the copied cameras."""
+"""Begins the names of the copied cameras, as we give them."""
+
+IS_PHONE = "xihe_phone"
+"""Custom property of the copied cameras, whatever Blender calls them now; a file of an earlier version has none."""
 
 ROOM_COPY = "xihe_room_copy"
 """Custom property of what holds out in front of the objects. A name would not do: a user's object may have it."""
@@ -162,7 +166,7 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
             if _is_simulated(item):
                 simulated.objects.link(item)
                 continue
-            copied = item.copy()
+            copied = _own_copy(item)
             _hold_out(copied, item.name)
             _draw_no_lines(copied, tidied)
             copied.is_shadow_catcher &= SCAN not in item
@@ -177,6 +181,12 @@ def hide_behind_room(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Seque
     else:
         bpy.data.collections.remove(simulated)
     lit.collection.children.link(holder)
+
+
+def _own_copy(block: bpy.types.ID) -> Any:
+    """A copy that keeps what is set of it: one of a library override is made anew when its file is opened."""
+    copied = block.copy()
+    return copied.make_local() if copied.override_library is not None else copied
 
 
 def _hold_out(item: bpy.types.Object, name: str) -> None:
@@ -220,7 +230,7 @@ def _without_loose_edges(mesh: bpy.types.Mesh) -> bpy.types.Mesh:
     """A copy without the edges that have no face; `mesh` itself where there are none. The vertices are the same."""
     if not array_of(mesh.edges, "is_loose", bool).any():
         return mesh
-    copied = mesh.copy()
+    copied = _own_copy(mesh)
     copied.name = f"{LIT_SCENE} {mesh.name}"
     copied[ROOM_COPY] = True
     edited = bmesh.new()
@@ -253,9 +263,10 @@ def seen_in(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
 def _phone_with(
     camera: bpy.types.Object, image: bpy.types.Image, frames: CapturedFrames, unit_m: float, now: int
 ) -> bpy.types.Object:
-    phone = bpy.data.objects.new(PHONE, camera.data) if frames.cameras else camera.copy()
-    phone.data = camera.data.copy()
+    phone = bpy.data.objects.new(PHONE, camera.data) if frames.cameras else _own_copy(camera)
+    phone.data = _own_copy(camera.data)
     phone.name = phone.data.name = PHONE
+    phone[IS_PHONE] = True
     if frames.cameras:
         phone.data.animation_data_clear()
         key_camera(phone, frames.cameras, unit_m, is_held=True)
@@ -360,7 +371,7 @@ def _added(lit: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def _phones(lit: bpy.types.Scene) -> list[bpy.types.Object]:
-    return [item for item in lit.collection.objects if item.name.startswith(PHONE)]
+    return [item for item in lit.collection.objects if IS_PHONE in item or item.name.startswith(PHONE)]
 
 
 def _added_lamps() -> bpy.types.Collection | None:
@@ -381,7 +392,11 @@ def remove_lit_scene() -> None:
     scene shows.
     """
     lit = lit_scene()
-    if lit is None:
+    if lit is None:  # It may have been deleted in Blender's own menu, which leaves what it showed without a user.
+        remove_lit_collections()
+        left = [item for item in bpy.data.objects if item.library is None and not item.users]
+        bpy.data.batch_remove(_room_copies(left) | _with_parts([item for item in left if IS_PHONE in item]))
+        remove_shadow_catchers([item for item in shadow_catchers() if not item.users])
         return
     keep_added()
     if lamps := [item for item in _added(lit) if item.type in _OF_LIT]:
@@ -395,22 +410,28 @@ def remove_lit_scene() -> None:
             if window.scene == lit and room is not None:
                 window.scene = room
     remove_shadow_catchers(shadow_catchers(lit))
-    own: set[bpy.types.ID | None] = {*_room_copies(lit)}
+    own = _room_copies(lit.objects) | _with_parts(_phones(lit))
     tree = getattr(lit, "compositing_node_group", None)  # It may be one of the user's.
-    for camera in _phones(lit):
-        own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
-        actions = [owner.animation_data.action for owner in (camera, camera.data) if owner.animation_data is not None]
-        own |= {action for action in actions if action is not None and action.name.startswith(PHONE)}
     remove_copied_scene(lit)
     remove_lit_collections()
     if tree is not None and not tree.users:
         own.add(tree)
     # At once: with its data an object goes too.
-    bpy.data.batch_remove(own - {None})
+    bpy.data.batch_remove(own)
 
 
-def _room_copies(lit: bpy.types.Scene) -> set[bpy.types.ID]:
-    copies = [item for item in lit.objects if ROOM_COPY in item]
+def _with_parts(phones: Iterable[bpy.types.Object]) -> set[bpy.types.ID]:
+    """Cameras of ours with their data, the pictures behind them, and their actions."""
+    own: set[bpy.types.ID | None] = set()
+    for camera in phones:
+        own |= {camera, camera.data, *(behind.image for behind in camera.data.background_images)}
+        actions = [owner.animation_data.action for owner in (camera, camera.data) if owner.animation_data is not None]
+        own |= {action for action in actions if action is not None and action.name.startswith(PHONE)}
+    return own - {None}
+
+
+def _room_copies(objects: Iterable[bpy.types.Object]) -> set[bpy.types.ID]:
+    copies = [item for item in objects if ROOM_COPY in item]
     parts = [block for item in copies for block in (item, item.data, item.instance_collection)]
     return {block for block in parts if block is not None and ROOM_COPY in block}
 
@@ -423,7 +444,7 @@ def is_of_run(lit: bpy.types.Scene, room: bpy.types.Scene, run: str, objects: It
 
 def show_room_anew(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> None:
     """Have `lit` hidden by the room, and at the frame, as they are now; all else in it stays as the user left it."""
-    bpy.data.batch_remove(_room_copies(lit))
+    bpy.data.batch_remove(_room_copies(lit.objects))
     for holder in [child for child in lit.collection.children if ROOM_COPY in child]:
         bpy.data.collections.remove(holder)
     hide_behind_room(lit, room, objects)

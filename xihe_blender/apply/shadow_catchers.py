@@ -112,8 +112,8 @@ def shadow_catchers(scene: bpy.types.Scene | None = None) -> list[bpy.types.Obje
 
 def remove_shadow_catchers(catchers: Iterable[bpy.types.Object]) -> None:
     """Take them away, with their meshes and materials."""
-    own: set[bpy.types.ID] = set()
+    own: set[bpy.types.ID | None] = set()
     for catcher in catchers:
         mesh = catcher.data
         own |= {catcher, mesh, *mesh.materials}
-    bpy.data.batch_remove(own)
+    bpy.data.batch_remove(own - {None})  # The user may have deleted a material.
