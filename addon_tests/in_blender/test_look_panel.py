@@ -5,7 +5,7 @@ import pytest
 from previs_runs import counted_renders
 from tiny_scenes import opened
 
-from xihe_blender.addon.look_operators import advice_for
+from xihe_blender.addon.look_operators import advice_for, other_cameras
 from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.better_path import looks_of_run
@@ -28,6 +28,13 @@ def test_the_panel_says_what_the_function_says_without_a_render(scene, lit_run):
     assert tuple(row.direction) == pytest.approx(advice.look.direction, abs=1e-6)
 
 
+def test_what_it_says_of_several_objects_is_no_longer_than_blenders_status_bar(scene, capfd):
+    bpy.context.view_layer.objects.active = None
+    bpy.ops.xihe.look_where()
+    said = f"Info: The panel says where to look for {len(advice_for(bpy.context))} objects"
+    assert said in capfd.readouterr().out.splitlines()
+
+
 def test_asking_again_replaces_the_advice_and_another_file_forgets_it(scene, lit_run):
     for _ in range(2):
         bpy.ops.xihe.look_where()
@@ -45,5 +52,10 @@ def test_the_camera_comes_after_the_advice_and_goes_with_the_light(scene):
     own = scene.camera
     assert bpy.ops.xihe.add_better_camera() == {"FINISHED"}
     assert better_path_camera().name == BETTER_PATH and scene.camera == own
+    scene.camera = better_path_camera()
+    assert not other_cameras(bpy.context)
+    scene.timeline_markers.new("cut", frame=2).camera = own
+    assert other_cameras(bpy.context)
     assert bpy.ops.xihe.remove_light() == {"FINISHED"}
+    assert scene.camera == own and not other_cameras(bpy.context)
     assert better_path_camera() is None and BETTER_PATH not in bpy.data.cameras and BETTER_PATH not in bpy.data.actions

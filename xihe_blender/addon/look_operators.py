@@ -14,6 +14,7 @@ from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.modal_job import ModalJob, redraw
 from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.apply.datablocks import better_path_camera
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.jobs import Job
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -29,6 +30,12 @@ def advice_for(context: bpy.types.Context) -> list[Any]:
     """The rows of advice from the run that is shown, for the objects in question; each has `name` and `sentence`."""
     names, folder = {item.name for item in asked_objects(context)}, context.scene.xihe.run_folder
     return [row for row in context.window_manager.xihe.looks if row.name in names and row.run_folder == folder]
+
+
+def other_cameras(context: bpy.types.Context) -> bool:
+    """Whether markers would take the place of the camera that does an advised look, once it is the scene's."""
+    better = better_path_camera()
+    return better is not None and any(one.camera not in (None, better) for one in context.scene.timeline_markers)
 
 
 def has_look(context: bpy.types.Context) -> str | None:
@@ -67,7 +74,9 @@ class XIHE_OT_look_where(polls.Conditional, ModalJob, bpy.types.Operator):
                 row.place_m, row.direction = advice.look.place_m, advice.look.direction
                 row.frame, row.look = advice.look.frame, json.dumps(as_json(advice.look))
         redraw(context.window_manager, has_view_changed=True)
-        self.report({"INFO"}, "; ".join(f"{advice.name}: {advice.sentence}" for advice in result))
+        # Blender's status bar cuts what is longer.
+        said = [f"{advice.name}: {advice.in_short}" for advice in result]
+        self.report({"INFO"}, said[0] if len(said) == 1 else f"The panel says where to look for {len(said)} objects")
         return {"FINISHED"}
 
 
@@ -76,7 +85,8 @@ class XIHE_OT_add_better_camera(Action, bpy.types.Operator):
     bl_label = "Add Camera"
     bl_description = (
         "Add the animated camera Xihe Better Path, which follows the path and looks where advised. To run with it, "
-        "choose it as the scene's camera and set the scene's end to its last frame. Remove Light takes it away"
+        "choose it as the scene's camera, set the scene's end to its last frame, and delete the markers that switch to "
+        "other cameras. Remove Light takes it away"
     )
     bl_options = {"REGISTER", "UNDO"}
     conditions = (polls.is_idle, polls.is_room, polls.captures_are_rendered, polls.has_camera, has_look)

@@ -23,7 +23,7 @@ import bpy
 from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.choices import DEFAULT_PHONE
 from xihe_blender.addon.failures import in_the_panels_words
-from xihe_blender.addon.look_operators import advice_for
+from xihe_blender.addon.look_operators import advice_for, other_cameras
 from xihe_blender.addon.planning_operators import calibration_line, known_times
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
@@ -431,6 +431,9 @@ def _draw_looks(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         row.operator("xihe.add_better_camera", icon="CAMERA_DATA")
     for one in advice:
         sentence(context, layout, f"{one.name!r}: {one.sentence}", icon="INFO")
+    if other_cameras(context):
+        said = "Markers switch to other cameras: delete those markers to run with Xihe Better Path"
+        sentence(context, layout, said, icon="INFO")
 
 
 def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:

@@ -62,6 +62,11 @@ class ObjectAdvice:
     true_errors: Annotated[TrueErrors | None, "None where nothing was rendered to find out"] = None
 
     @property
+    def in_short(self) -> str:
+        """Such as "look up left at frame 12"."""
+        return "no look would add much" if self.look is None else f"look {self.look.words} at frame {self.look.frame}"
+
+    @property
     def sentence(self) -> str:
         """Such as "look up left for 1 second at frame 12: ..."."""
         if self.look is None:

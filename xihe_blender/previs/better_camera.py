@@ -27,6 +27,9 @@ from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera_path.looks import Look, turned_view
 from xihenet.records import ArrayF64
 
+FOLLOWED = "xihe_followed"
+"""Custom property of the better camera: the camera whose path it goes, which comes back where it was in its place."""
+
 
 def poses_with_look(path: Sequence[ArrayF64], index: int, away: LookAway, frames_per_s: float) -> list[ArrayF64]:
     """World_from_camera, (4, 4), of every frame: those of `path`, and after the `index`-th the look there and back.
@@ -61,7 +64,7 @@ def add_better_camera(scene: bpy.types.Scene, away: LookAway) -> tuple[bpy.types
     data = scene.camera.data.copy()
     data.name = BETTER_PATH
     camera = bpy.data.objects.new(BETTER_PATH, data)
-    camera[BETTER_PATH] = away.frame
+    camera[BETTER_PATH], camera[FOLLOWED] = away.frame, scene.camera
     scene.collection.objects.link(camera)
     camera.rotation_mode = "QUATERNION"
     keyed, poses_m = range(scene.frame_start, scene.frame_start + len(poses)), np.stack(poses)
@@ -76,9 +79,11 @@ def _pose_at(scene: bpy.types.Scene, frame: int) -> ArrayF64:
 
 
 def remove_better_camera() -> None:
-    """Take the camera away, with its data and its keys."""
+    """Take the camera away, with its data and its keys; a scene that looked through it has its own camera again."""
     camera = better_path_camera()
     if camera is not None:
+        for scene in [scene for scene in bpy.data.scenes if scene.camera == camera]:
+            scene.camera = camera.get(FOLLOWED)
         remove_animation(camera)
         bpy.data.cameras.remove(camera.data)  # With its data the object goes too.
 
