@@ -38,9 +38,9 @@ def free_port():
 
 
 @contextlib.contextmanager
-def serving(*options, stderr=subprocess.PIPE, host=r"127\.0\.0\.1"):
-    """The process of `xihe serve`, and its port; `host` is how it says where it listens."""
-    command = [sys.executable, "-m", "xihe_blender", "serve", *options]
+def serving(*options, stderr=subprocess.PIPE, host=r"127\.0\.0\.1", xihe=("-m", "xihe_blender")):
+    """The process of `xihe serve`, and its port; `host` is how it says where it listens, `xihe` what Python runs."""
+    command = [sys.executable, *xihe, "serve", *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
     try:
         said = process.stdout.readline()

@@ -39,6 +39,26 @@ def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
     assert token not in logged and session not in logged
 
 
+AS_ON_WINDOWS = """
+import asyncio, sys
+
+def refuse(*_):
+    raise NotImplementedError
+
+asyncio.SelectorEventLoop.add_signal_handler = refuse
+from xihe_blender.cli.main import main
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_is_its_end_and_no_fault_where_event_loops_know_no_signals():
+    with serving(*PROJECTION, "0", xihe=("-c", AS_ON_WINDOWS)) as (process, _):
+        process.send_signal(signal.SIGINT)
+        _, logged = process.communicate(timeout=20)
+        assert process.returncode == 0
+    assert [json.loads(line)["event"] for line in logged.splitlines()] == ["started", "stopping"]
+
+
 def has_ipv6():
     with suppress(OSError), socket.create_server(("::1", 0), family=socket.AF_INET6):
         return True

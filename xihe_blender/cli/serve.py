@@ -95,7 +95,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         print(f"serving at {scheme}://{host}:{port}, Ctrl-C to stop", file=stdout, flush=True)
 
     try:
-        with logged_to(stderr):
+        with logged_to(stderr), contextlib.suppress(KeyboardInterrupt):  # Of Windows: it is how a server ends.
             if options.workers > 1:
                 serve_by_workers(inference, settings, options.workers, ready, log_to=stderr.fileno())
             else:

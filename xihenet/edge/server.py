@@ -83,7 +83,7 @@ async def serve(inference: Inference, settings: ServerSettings, when_ready: Call
     sys.setswitchinterval(SWITCH_S)
     stop, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
-        with contextlib.suppress(NotImplementedError):  # Windows, where Ctrl-C raises KeyboardInterrupt instead.
+        with contextlib.suppress(NotImplementedError):  # Windows, where Ctrl-C cancels this instead.
             loop.add_signal_handler(number, stop.set)
     starter = multiprocessing.parent_process()
     if settings.worker is not None and starter is not None:
@@ -101,8 +101,10 @@ async def serve(inference: Inference, settings: ServerSettings, when_ready: Call
             worker=settings.worker,
         )
         when_ready(port)
-        await stop.wait()
-        log_event("stopping")
+        try:
+            await stop.wait()
+        finally:
+            log_event("stopping")
 
 
 async def _expire(service: EdgeService) -> None:
