@@ -450,7 +450,10 @@ PLAIN = {
     ),
     "a time that is NaN": (put(POSES, "nan 0 0 0 0 0 0 1\n" * 3), "expected finite numbers"),
     "a pose that mirrors": (put(POSES, "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), "pose of 1.png: "),
-    "a quaternion of zeros": (put(POSES, "0 0 0 0 0 0 0 0\n" * 3), "a quaternion of length 1"),
+    "a quaternion of zeros": (
+        put(POSES, "0 0 0 0 0 0 0 1\n" * 2 + "0 0 0 0 0 0 0 0"),
+        "poses.txt: pose 3: pose: expected a quaternion of length 1",
+    ),
     "times that go back": (put(POSES, "5 0 0 0 0 0 0 1\n4 0 0 0 0 0 0 1\n6 0 0 0 0 0 0 1\n"), NOTE + "Times go back"),
     "no times": (put(POSES, "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3), NOTE + "Times are not known"),
 }

@@ -500,7 +500,9 @@ def with_entry(row, column, value):
         ({"world_from_camera": [[10**400] * 4] * 4}, "world_from_camera: expected finite numbers"),
         ({"convension": "opencv"}, "'convension': there is no such key; did you mean 'convention'"),
         ({"FX": 20}, "'FX': there is no such key; did you mean 'fx'"),
-        ({"distortion": [0, 0]}, "'distortion': there is no such key; leave it out"),
+        ({"distortion": [0, 0]}, "'distortion': there is no such key; leave it out, and undistort the pictures"),
+        ({"k1": -0.2, "k2": 0.05}, "'k1': there is no such key; leave it out, and undistort the pictures"),
+        ({"name": "desk"}, "'name': there is no such key; leave it out; there are width"),
     ],
 )
 def test_a_camera_that_cannot_be_is_refused(tmp_path, changes, said):

@@ -14,6 +14,7 @@ here: pixels of images (`image_files`), lens distortion, and images that do not 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -168,9 +169,11 @@ def off_centre(intrinsics: Intrinsics) -> str | None:
 
 def _check_keys(content: dict[str, Any], keys: Collection[str]) -> None:
     """ValueError for a key that nothing would read, which would be a misspelt one that counts for nothing."""
-    for name in content.keys() - set(keys):
+    for name in (name for name in content if name not in keys):
         near = difflib.get_close_matches(name.lower(), keys, n=1)
         fix = f"did you mean {near[0]!r}?" if near else f"leave it out; there are {', '.join(keys)}"
+        if re.fullmatch(r"dist.*|[kp]\d", name.lower()):
+            fix = "leave it out, and undistort the pictures first, since the lens' distortion is not taken out"
         raise ValueError(f"{name[:80]!r}: there is no such key; {fix}")
 
 
