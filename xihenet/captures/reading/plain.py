@@ -109,11 +109,11 @@ def _poses(folder: Path, colours: Sequence[Path]) -> tuple[list[ArrayF64 | None]
     if any(len(line) != 8 for line in lines):
         return [_matrix(line, path) for line in lines], None
     rows = [pose_numbers(line, 8, str(path)) for line in lines]
-    times_s, poses = np.concatenate([numbers(line[:1], 1, str(path)) for line in lines]), list[ArrayF64 | None]()
-    for number, row in enumerate(rows, 1):
-        with named(f"{path}: pose {number}"):
-            poses.append(None if row is None else pose_of(row[1:4], row[4:]))
-    return poses, times_s
+    times_s = np.concatenate([numbers(line[:1], 1, str(path)) for line in lines])
+    with named(path):
+        return [
+            None if row is None else pose_of(row[1:4], row[4:], f"pose {number}") for number, row in enumerate(rows, 1)
+        ], times_s
 
 
 def _matrix(words: list[str], path: Path) -> ArrayF64 | None:

@@ -55,7 +55,7 @@ def read(path: Path, up: str | None) -> Capture:
         n_said, poses, k, times_s = _by_frame(content, size)
         start = np.eye(4)
         if (first := content.get("initPose")) is not None:
-            start = _pose(numbers(first, 7, "initPose"))
+            start = _pose(numbers(first, 7, "initPose"), "initPose")
         begin = start @ next((pose for pose in poses if pose is not None), np.eye(4))
         knows_up = first is not None and not np.allclose(begin, np.eye(4), atol=AT_ORIGIN)
         assumed = up or "y"
@@ -121,7 +121,7 @@ def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[int, list
     A pose is (4, 4), or None where tracking was lost.
     """
     rows = [pose_numbers(row, 7, f"poses, frame {i}") for i, row in enumerate(_rows(content, "poses"))]
-    poses = [None if row is None else _pose(row) for row in rows]
+    poses = [None if row is None else _pose(row, f"poses, frame {i}") for i, row in enumerate(rows)]
     if not poses:
         raise ValueError("poses: there are none: record with LiDAR, the face sensor has no poses")
     if content.get("perFrameIntrinsicCoeffs"):
@@ -150,9 +150,9 @@ def _rows(content: dict[str, Any], name: str) -> list[Any]:
     return rows
 
 
-def _pose(row: ArrayF64) -> ArrayF64:
+def _pose(row: ArrayF64, name: str) -> ArrayF64:
     """(4, 4) of qx, qy, qz, qw, x, y, z."""
-    return pose_of(row[4:], row[:4])
+    return pose_of(row[4:], row[:4], name)
 
 
 def _load(archive: Archive, n: int, camera: FrameCamera, size: tuple[int, int] | None) -> RgbdFrame:

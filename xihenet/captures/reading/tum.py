@@ -47,7 +47,8 @@ def read(folder: Path, up: str | None) -> Capture:
     frames = []
     for number, (time_s, (name,)) in enumerate(colours, start=1):
         nearest = int(np.abs(depth_s - time_s).argmin())
-        pose = _pose_at(time_s, pose_s, values)
+        with named(folder / FILES[2]):
+            pose = _pose_at(time_s, pose_s, values)
         colour, plane_depth = inside(folder, name), inside(folder, depths[nearest][1][0])
         if (
             abs(depth_s[nearest] - time_s) > AT_MOST_S
@@ -95,7 +96,9 @@ def _pose_at(time_s: float, pose_s: ArrayF64, values: ArrayF64) -> ArrayF64 | No
     around = [max(after - 1, 0), min(after, len(pose_s) - 1)]
     if np.abs(pose_s[around] - time_s).min() > AT_MOST_S:
         return None
-    first, second = (np.concatenate([row[:3], of_length_1(row[3:])]) for row in values[around])
+    first, second = (
+        np.concatenate([values[i, :3], of_length_1(values[i, 3:], f"pose at {pose_s[i]:.15g} s")]) for i in around
+    )
     span = pose_s[around[1]] - pose_s[around[0]]
     share = float(np.clip((time_s - pose_s[around[0]]) / span, 0, 1)) if span > 0 else 0.0
     if second[3:] @ first[3:] < 0:

@@ -36,18 +36,18 @@ def pose_numbers(values: Any, n: int, name: str) -> ArrayF64 | None:
     return array if np.isfinite(array).all() else None
 
 
-def pose_of(place_m: ArrayF64, quaternion: ArrayF64) -> ArrayF64:
+def pose_of(place_m: ArrayF64, quaternion: ArrayF64, name: str = "pose") -> ArrayF64:
     """(4, 4) of a place (3,) and a rotation (4,). ValueError for a quaternion without length, or a place far away."""
     if np.abs(place_m).max() > FARTHEST_M:
-        raise ValueError(f"pose: expected a place within {FARTHEST_M:g} m of the origin, got {place_m.tolist()}")
+        raise ValueError(f"{name}: expected a place within {FARTHEST_M:g} m of the origin, got {place_m.tolist()}")
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation_of(quaternion), place_m
+    pose[:3, :3], pose[:3, 3] = rotation_of(quaternion, name), place_m
     return pose
 
 
-def rotation_of(quaternion: ArrayF64) -> ArrayF64:
+def rotation_of(quaternion: ArrayF64, name: str = "pose") -> ArrayF64:
     """(3, 3) of x, y, z, w, as of `of_length_1`."""
-    x, y, z, w = of_length_1(quaternion)
+    x, y, z, w = of_length_1(quaternion, name)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -57,12 +57,12 @@ def rotation_of(quaternion: ArrayF64) -> ArrayF64:
     )
 
 
-def of_length_1(quaternion: ArrayF64) -> ArrayF64:
+def of_length_1(quaternion: ArrayF64, name: str = "pose") -> ArrayF64:
     """(4,) of one of any length that is not about 0 or beyond measure; ValueError else."""
     with np.errstate(over="ignore"):  # Numbers whose squares overflow have an infinite length, and are refused.
         length = float(np.linalg.norm(quaternion))
     if not SHORTEST < length < LONGEST:
-        raise ValueError(f"pose: expected a quaternion of length 1, got one of {length:.3g}")
+        raise ValueError(f"{name}: expected a quaternion of length 1, got one of {length:.3g}")
     return quaternion / length
 
 
