@@ -13,7 +13,7 @@ from xihe_blender.cli.document import TRAINING, WITHOUT_TRAINING, document
 from xihe_blender.cli.main import command_parser
 from xihe_blender.io.run_results import METRICS
 from xihe_blender.previs.presets import PRESETS
-from xihe_blender.report.plots import CHAIN, STAGES
+from xihe_blender.report.plots import CHAIN, IT_REFLECTS, STAGES
 from xihenet import __version__, controller, estimators
 from xihenet.captures.reading import READERS
 from xihenet.captures.replay import REPLAY_TRIGGER
@@ -236,6 +236,7 @@ def test_the_chain_has_the_same_words_everywhere():
     stages = previs.split("## What a run does")[1].split("##")[0]
     said = re.findall(r"^\| (\w[\w ]*) \| (.*) \|$", stages, re.MULTILINE)[1:]
     assert [name for name, _ in said] == chain and all(words.startswith(CHAIN[name]) for name, words in said)
+    assert IT_REFLECTS in " ".join(stages.split())
     where = conventions.split("## Where is what")[1].split("`xihenet`, by what")[0]
     listed = ", ".join(re.findall(r"^\| (\w[^|]*) \|", where, re.MULTILINE)).split(", ")
     assert [word for word in listed if word in chain] == chain

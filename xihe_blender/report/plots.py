@@ -50,13 +50,14 @@ CHAIN = {
     "apply": "the estimate lights the virtual object from the frame at which it arrives",
     "compare": "the picture is compared with room and objects path-traced together",
 }
-REFLECT = "reflect"
+REFLECT, IT_REFLECTS = "reflect", "what a frame shows is kept in finer directions too, for key lights and reflections"
 STAGES = (*list(CHAIN)[2:-2], REFLECT)
 """Those of a frame's step, which are timed."""
 
 _STAGES_LISTED = "".join(f"<li><b>{stage}</b>: {words}</li>" for stage, words in CHAIN.items())
 _CHAIN_LISTED = (
-    f'<details class="chain"><summary>The stages of the chain, in order</summary><ol>{_STAGES_LISTED}</ol></details>'
+    f'<details class="chain"><summary>The stages of the chain, in order</summary><ol>{_STAGES_LISTED}</ol>'
+    f"<p>Beside <b>sample</b>, <b>{REFLECT}</b>: {IT_REFLECTS}.</p></details>"
 )
 
 
