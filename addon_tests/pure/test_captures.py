@@ -136,6 +136,9 @@ def test_where_no_light_can_be_known_replay_says_why(tmp_path, capfd, is_doubted
     said = capfd.readouterr().out.splitlines()[-1]
     assert said.startswith("0,0,0: no light could be known in 2 frames: no surface was seen from there; 6144 points")
     assert why in said
+    (place,) = read_strictly((tmp_path / "out" / "replay.json").read_text())["positions"]
+    assert place["unknown"] == {"nothing_seen": 2}
+    assert ">2 frames</span>" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_replay_warns_of_a_place_that_lies_behind_what_every_frame_shows_there_or_in_view_of_none(tmp_path, capfd):

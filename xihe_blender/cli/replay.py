@@ -342,6 +342,7 @@ def _write(
                 "coverage": place.coverage,
                 "n_invalid_points": n_left_out(place.invalid),
                 "invalid": dict(place.invalid),
+                "unknown": dict(place.unknown),
                 "lights": place.lights,
             }
             for place in places

@@ -163,8 +163,9 @@ def _score(content: Mapping[str, Any]) -> str:
 
 def _left_out(content: Mapping[str, Any]) -> str:
     rows = [
-        [escape(place["name"]), escape(format_reason(reason)), str(n)]
+        [escape(place["name"]), escape(format_reason(reason)), format_count(n, what)]
         for place in content["positions"]
-        for reason, n in place["invalid"].items()
+        for what, counts in (("point", place["invalid"]), ("frame", place["unknown"]))
+        for reason, n in counts.items()
     ]
-    return table(["position", "what", "points"], rows) if rows else ""
+    return table(["position", "why", "left out"], rows) if rows else ""
