@@ -84,7 +84,7 @@ def lines_through(grid: PixelGrid, pixels: ArrayInt) -> ArrayInt:
 @lru_cache(maxsize=16)
 def _steps_inside(n: int) -> ArrayInt:
     """(5, n) steps -2 to 2 from each of `n` places in a row; 0 for those that leave it."""
-    steps = np.arange(-2, 3)[:, None]
+    steps = np.arange(-2, 3, dtype=np.intp)[:, None]  # NumPy 1 makes 32 bits of it on Windows: `take` refuses those.
     to = np.arange(n) + steps
     return np.where((to >= 0) & (to < n), steps, 0)
 
