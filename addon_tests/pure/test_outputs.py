@@ -13,9 +13,10 @@ import pytest
 from addon_tests.pure.commands import ROOT
 from xihe_blender.errors import UserError
 from xihe_blender.io.exr import write_radiance
-from xihe_blender.io.outputs import RunOutputs, check_names_differ, write_json
+from xihe_blender.io.outputs import RunOutputs, check_names_differ, cut_stem, write_json
 from xihe_blender.lab.batch.grid import planned_units
 from xihenet.io.whole_files import written_whole
+from xihenet.light.exports import file_names
 
 
 @pytest.mark.parametrize(("encoding", "printed"), [("cp1252", b"Caf\xe9 \\u2212"), ("utf-8", "Café \u2212".encode())])
@@ -70,3 +71,11 @@ def test_what_is_made_of_a_file_with_a_very_long_name_can_be_written(tmp_path):
         beside.touch()
     (tmp_path / planned_units([scene], (0,))[0][0].name).mkdir()
     assert RunOutputs(tmp_path, "room").lit_blend.name == "room_lit.blend"
+
+
+def test_paths_of_runs_fit_into_those_of_windows():
+    folder = Path("C:\\" + 57 * "x") / "xihe_runs" / f"{cut_stem(255 * 'x')}_20261130-105417"
+    outputs, name = RunOutputs(folder, 255 * "x"), 255 * "x"
+    exported = folder / "exports" / "filament" / f"{file_names([name])[name]}_0001_reflections.hdr"
+    for path in (outputs.lit_blend, outputs.probe(999, name, 1), outputs.reflections(999, name, 1), exported):
+        assert len(str(path)) + len("..99999") < 260  # With what it is called until it is whole.

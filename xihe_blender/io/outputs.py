@@ -29,8 +29,9 @@ if TYPE_CHECKING:
 MAX_STEM = 40
 """Characters of an object's name in a file name: Blender 5 allows 255 bytes, as much as a whole file name may have."""
 
-MAX_STEM_BYTES = 200
-"""Of a scene's file in the names of what is made of it."""
+MAX_STEM_BYTES = 64
+"""Of a scene's file in the names of what is made of it: Windows refuses paths of more than 260 characters, and the
+panel's runs have it in the names of their folder and of a file in that."""
 
 
 def _at(*parts: str) -> functools.cached_property[Path]:
