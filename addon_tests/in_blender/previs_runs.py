@@ -83,7 +83,7 @@ def run(scene, out, settings=SMALL):
     # Where jsonschema is imported for nothing, some processes of the bpy wheel never end.
     from results_schema import check_results
 
-    results = run_blocking(previs(scene, out, settings))
+    results = run_blocking(previs(scene, str(out), settings))
     check_results(results)
     return results
 

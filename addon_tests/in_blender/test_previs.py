@@ -158,7 +158,8 @@ def test_a_network_that_the_run_left_out_delays_nothing_in_its_session(finished,
     (tmp_path / "results.json").write_text(json.dumps(results))
     entry = finished.results["frames"][0]
     first = entry["probes"][0]
-    found = run_blocking(run_blocking(open_kept_session(tmp_path)).find_light({"it": np.array(first["position_m"])}))
+    session = run_blocking(open_kept_session(str(tmp_path)))
+    found = run_blocking(session.find_light({"it": np.array(first["position_m"])}))
     assert np.array_equal(found["it"].sh[entry["frame"]], first["sh"])
 
 

@@ -216,7 +216,7 @@ def test_files_of_a_plain_folder_belong_together_in_either_form_of_their_accents
     for number, name in enumerate(("colour", "depth", "confidence", "poses")):
         for path in list((tmp_path / name).iterdir()):
             path.rename(path.with_stem(unicodedata.normalize(("NFC", "NFD")[number % 2], f"Gerät {path.stem}")))
-    capture = open_capture(tmp_path)
+    capture = open_capture(str(tmp_path))
     assert len(capture.frames) == 2 and not any("left out" in note or "confidence" in note for note in capture.notes)
 
 

@@ -62,17 +62,17 @@ class KeptSession:
         )
 
 
-def open_kept_session(folder: Path) -> Job[KeptSession]:
+def open_kept_session(folder: str | Path) -> Job[KeptSession]:
     """A job, a step per frame: read the frames that the run in `folder` keeps.
 
     UserError where they are gone, or where the run's estimator needs more than frames: `truth` is rendered.
     """
-    results = read_results(folder)
+    results, outputs = read_results(Path(folder)), RunOutputs(Path(folder))
     captured = [entry.frame for entry in results.captured_frames]
     if not captured:
         raise UserError(f"the run in {folder} captured nothing: run again")
     of_run = results.settings
-    return (yield from kept_session(RunOutputs(folder), _settings_of(results), of_run.reference_exposure, captured))
+    return (yield from kept_session(outputs, _settings_of(results), of_run.reference_exposure, captured))
 
 
 def kept_session(

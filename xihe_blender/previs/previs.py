@@ -40,7 +40,12 @@ from xihenet.io.recording import write_session
 
 
 def previs(
-    scene: bpy.types.Scene, out: Path, settings: PrevisSettings, *, blend_file: Path | None = None, command: str = ""
+    scene: bpy.types.Scene,
+    out: str | Path,
+    settings: PrevisSettings,
+    *,
+    blend_file: Path | None = None,
+    command: str = "",
 ) -> Job[Json]:
     """Run the chain on `scene` and leave results.json, report.html, pictures and a lit .blend in the folder `out`.
 
@@ -64,7 +69,7 @@ def previs(
         recorded.check_camera(scene, plan)
     loaded = load_estimators(settings)
     file = blend_file or Path(bpy.data.filepath or "untitled.blend")
-    outputs = RunOutputs(out, file.stem)
+    outputs = RunOutputs(Path(out), file.stem)
     leaves = (outputs.results, outputs.report, outputs.lit_blend)
     names = (settings.estimator, *settings.others)
     decides = made_of("a run", scene, file, settings, plan) | {"weights": weights_sha256(names, settings.target)}

@@ -20,7 +20,7 @@ ARCHIVES = (SUFFIX, ".zip")
 N_NAMED = 3
 
 
-def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor_m: float = 0.0) -> Capture:
+def open_capture(path: str | Path, up: str | None = None, *, scale: float = 1.0, floor_m: float = 0.0) -> Capture:
     """The session in the folder or file `path`; its pictures are read one by one, when they are asked for.
 
     `up` is the axis of the recording's world that points up, "z", "y", "x", or one of these after a minus; None takes
@@ -28,6 +28,7 @@ def open_capture(path: Path, up: str | None = None, *, scale: float = 1.0, floor
     as of `set_by_hand`. ValueError, naming the fix, for what is no known format, and for what is broken in it; OSError
     if it cannot be read; ImportError, naming the extra, without a package that it takes.
     """
+    path = Path(path)
     if not path.exists():
         raise ValueError(f"{path} is not there: give a folder or file with a recording of {', '.join(READERS)}")
     names_in.cache_clear()  # Missing pictures may have been copied since.
