@@ -243,6 +243,7 @@ RECORD3D = {
     "a quaternion that is huge": (in_metadata("poses", 1, [1e300] * 4 + [0.0] * 3), "a quaternion of length 1"),
     "a place that is huge": (in_metadata("poses", 1, [0, 0, 0, 1, 1e300, 0, 0]), "within 1e+06 m"),
     "no poses": (metadata(poses=[]), "record with LiDAR"),
+    "poses are not there": (metadata(poses=None), "record with LiDAR"),
     "poses are an object": (metadata(poses={}), "poses: expected a list"),
     "a start of zeros": (metadata(initPose=[0] * 7), "a quaternion of length 1"),
     "a negative width": (metadata(w=-256), "w: expected a whole number of pixels"),

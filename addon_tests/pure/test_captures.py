@@ -249,6 +249,14 @@ def test_a_folder_around_a_recording_says_which_one_is_in_it(tmp_path, name):
     assert str(path) in str(said.value)
 
 
+@pytest.mark.parametrize(("write", "part"), [(as_nerfstudio, "transforms.json"), (as_polycam, "keyframes")])
+def test_a_part_of_a_recording_says_which_folder_to_give(tmp_path, write, part):
+    write(tmp_path, walk(SMALL, 1))
+    with pytest.raises(ValueError, match=f"{part} is a part of a recording: give ") as said:
+        open_capture(tmp_path / part)
+    assert str(said.value).endswith(f"give {tmp_path}")
+
+
 def test_colour_goes_with_the_depth_and_pose_next_to_it_in_time(tmp_path):
     frames = walk(LAYOUTS["TUM RGB-D"][1], 3)
     as_tum(tmp_path, frames)

@@ -37,6 +37,8 @@ def open_capture(path: str | Path, up: str | None = None, *, scale: float = 1.0,
             return set_by_hand(_with_doubts(read(path, up)), scale=scale, floor_m=floor_m)
     if inside := _recordings_in(path):
         raise ValueError(f"{path} holds no recording itself: give {' or '.join(map(str, inside))}, which is one")
+    if any(is_in(path.parent) for is_in, _ in READERS.values()):
+        raise ValueError(f"{path} is a part of a recording: give {path.parent}")
     raise ValueError(
         f"{path} holds no recording that is known: expected one of {', '.join(READERS)}. Convert other recordings to "
         "a plain folder: camera.json, colour/, depth/ and poses/, as docs/captures.md says"

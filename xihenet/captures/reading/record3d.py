@@ -120,7 +120,7 @@ def _by_frame(content: dict[str, Any], size: tuple[int, int]) -> tuple[int, list
 
     A pose is (4, 4), or None where tracking was lost.
     """
-    rows = [pose_numbers(row, 7, f"poses, frame {i}") for i, row in enumerate(_rows(content, "poses"))]
+    rows = [pose_numbers(row, 7, f"poses, frame {i}") for i, row in enumerate(_rows({"poses": [], **content}, "poses"))]
     poses = [None if row is None else _pose(row, f"poses, frame {i}") for i, row in enumerate(rows)]
     if not poses:
         raise ValueError("poses: there are none: record with LiDAR, the face sensor has no poses")
