@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageCms
 
 from addon_tests.pure.commands import fresh_python
 from addon_tests.pure.frame_makers import (
@@ -18,6 +18,7 @@ from addon_tests.pure.frame_makers import (
     NEEDS_OPENEXR,
     WIDTH,
     box_radiance_and_plane_depth,
+    colour_profile,
     png,
     write_by_package,
     write_camera,
@@ -282,6 +283,30 @@ def test_colour_images_of_other_kinds_are_read(tmp_path, camera, plane_depth, ki
 
 
 COLOUR = encode_exposed(RADIANCE, 1)
+
+# Columns: red, green and blue by XYZ, adapted to D50.
+SRGB_TO_XYZ = np.array([[0.4361, 0.3851, 0.1431], [0.2225, 0.7169, 0.0606], [0.0139, 0.0971, 0.7141]])
+P3_TO_XYZ = np.array([[0.5151, 0.2920, 0.1571], [0.2412, 0.6922, 0.0666], [-0.0011, 0.0419, 0.7841]])
+
+
+@pytest.mark.parametrize("times", [1, 3])
+@pytest.mark.parametrize("kind", ["png", "jpg", "tiff"])
+def test_colour_is_what_the_profile_of_an_image_says(tmp_path, camera, plane_depth, kind, times):
+    stored = np.full((times * HEIGHT, times * WIDTH, 3), (180, 110, 90), np.uint8)
+    path = tmp_path / f"colour.{kind}"
+    options = {"quality": 100, "subsampling": 0} if kind == "jpg" else {}
+    Image.fromarray(stored).save(path, icc_profile=colour_profile(P3_TO_XYZ, 2.2), **options)
+    found = read_frame(path, camera, plane_depth=plane_depth).srgb_u8
+    wide = (stored[0, 0] / 255) ** 2.2
+    expected = 255 * linear_to_srgb(np.linalg.solve(SRGB_TO_XYZ, P3_TO_XYZ @ wide))
+    assert expected[0] - stored[0, 0, 0] > 5 and np.abs(found - expected).max() < 2
+
+
+@pytest.mark.parametrize("profile", [b"none", ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()])
+def test_a_profile_of_srgb_and_one_that_cannot_be_read_change_nothing(tmp_path, camera, plane_depth, profile):
+    path = tmp_path / "colour.png"
+    Image.fromarray(COLOUR).save(path, icc_profile=profile)
+    assert np.array_equal(read_frame(path, camera, plane_depth=plane_depth).srgb_u8, COLOUR)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 A photo has fifty megapixels, a phone's plane depth fifty thousand, and a small file may hold far more than either. So
 the header decides whether anything is unpacked, and what is unpacked is taken by strips: in 8 bits a photo of 50
-megapixels is 200 MB, in the float64 that averages of linear light take it would be 1200. Not here: colour profiles.
+megapixels is 200 MB, in the float64 that averages of linear light take it would be 1200.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -58,16 +58,17 @@ def read_colour(
 ) -> ArrayU8:
     """(height, width, 3) sRGB of an image of the same field as `beside`, which has `field` (width, height) pixels.
 
-    Grey becomes equal channels, alpha is left out, and of 16 bits the upper 8 are taken. `content` as of `_loading`,
-    which says what is raised; and ValueError for another ratio of width to height.
+    Colour is what its profile says, and sRGB without one, or where that cannot be read. Grey becomes equal channels,
+    alpha is left out, and of 16 bits the upper 8 are taken. `content` as of `_loading`, which says what is raised; and
+    ValueError for another ratio of width to height.
     """
     with _loading(path, content) as image:
         if image.mode.startswith(("I", "F")):
             raise ValueError(f"{path}: expected a colour image of 8 bits, got pixels of mode {image.mode}")
         _check_field(path, image.size, beside, field)
     if image.size == (width, height):
-        return np.asarray(image.convert("RGB"))
-    strips = (LINEAR_BY_BYTE[strip] for strip in _strips(image, "RGB"))
+        return np.asarray(_to_srgb(image)(image))
+    strips = (LINEAR_BY_BYTE[strip] for strip in _strips(image, _to_srgb(image)))
     averaged = area_averaged(strips, image.height, height, width)
     del image, strips  # 200 MB of 50 megapixels, before encoding takes as much
     return encode_exposed(averaged, 1.0)
@@ -101,12 +102,27 @@ def read_grey(path: Path) -> ArrayU8:
     return np.asarray(image)
 
 
-def _strips(image: Any, mode: str | None = None) -> Iterator[NDArray[Any]]:
-    """Rows of a picture from top to bottom, some at a time, in another mode if one is given."""
+def _to_srgb(image: Any) -> Callable[[Any], Any]:
+    """What makes sRGB of the picture, or of a part of it: photos of iPhones, for one, are in Display P3."""
+    from PIL import ImageCms
+
+    profile, to_srgb = image.info.get("icc_profile"), None
+    if profile and image.mode in ("RGB", "RGBA", "RGBX"):
+        with contextlib.suppress(ImportError, OSError, ImageCms.PyCMSError):
+            source = ImageCms.getOpenProfile(io.BytesIO(profile))
+            if "sRGB" not in ImageCms.getProfileDescription(source):
+                to_srgb = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB")
+    if to_srgb is None:
+        return lambda part: part.convert("RGB")
+    return lambda part: ImageCms.applyTransform(part.convert("RGB"), to_srgb)
+
+
+def _strips(image: Any, changed: Callable[[Any], Any] = lambda strip: strip) -> Iterator[NDArray[Any]]:
+    """Rows of a picture from top to bottom, some at a time, `changed`."""
     n_rows = min(MOST_ROWS_IN_STRIP, max(1, PIXELS_IN_STRIP // image.width))
     for top in range(0, image.height, n_rows):
         strip = image.crop((0, top, image.width, min(top + n_rows, image.height)))
-        yield np.asarray(strip if mode is None else strip.convert(mode))
+        yield np.asarray(changed(strip))
 
 
 def area_averaged(strips: Iterable[NDArray[Any]], n_rows: int, height: int, width: int) -> ArrayF64:
