@@ -82,7 +82,7 @@ class TimeLeft:
                 insort(self.known[stage].paces, (elapsed_s - then_s) / units)
             elif units > 0:
                 self.known[stage] = _Stage(units, elapsed_s - then_s)
-            elif stage in self.known and stage in progress.stages:
+            elif stage in progress.stages and (stage in self.known or progress == last):
                 since_s = then_s  # What is told within a unit does not end it.
         self.before = progress, since_s
         paces = {name: stage.pace for name, stage in self.known.items()}

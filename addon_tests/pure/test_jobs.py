@@ -108,6 +108,12 @@ def test_what_is_told_within_a_unit_does_not_shorten_it():
     assert seconds_left(*((Progress(done, 4, doing), at_s) for done, doing, at_s in steps))[-2:] == [120, 120]
 
 
+def test_what_is_told_again_within_the_first_unit_does_not_shorten_it():
+    captures = [(Progress(done, 5, "", {"captures": 2 - done, "probes": 3}), done) for done in (0, 1)]
+    pictures = [(Progress(2, 5, "", {"probes": 3}), 2 + k) for k in range(10)]
+    assert seconds_left(*captures, *pictures, (Progress(3, 5, "", {"probes": 2}), 12))[-1] == 20
+
+
 def test_a_log_says_nothing_twice():
     stream = io.StringIO()
     show = progress_line(stream)
