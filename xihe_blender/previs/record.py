@@ -21,7 +21,7 @@ from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.io.provenance import software
-from xihe_blender.jobs import Job, Progress
+from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.light_transport.render_reuse import plan_render_reuse
 from xihe_blender.previs.captured_path import path_plan
 from xihe_blender.previs.kept_session import kept_facts
@@ -153,19 +153,19 @@ def _measure_truth(run: PreparedRun, places: Sequence[Probe], out: Path, command
     source = plan_render_reuse(run.survey.states, names, run.survey.moved).probes
     asked = [(k, place, f) for f in frames for k, place in enumerate(places) if source[f, place.name] == f]
     found = []
-    lights, shown = [], []
+    lights, pictures = [], []
     # All of one kind before the other: Cycles keeps a room's geometry between the renders of one scene.
     with run.open_probes(places) as probe:
         probe.settings = replace(run.reference, aims_at_ldr=True)
         for done, (k, place, frame) in enumerate(asked):
-            yield Progress(done, 2 * len(asked), f"measuring the true light at {place.name} in frame {frame}")
+            said = Progress(done, 2 * len(asked), f"measuring the true light at {place.name} in frame {frame}")
             probe.move(k, place.at(frame))
-            lights.append(probe.light_at(k, frame, run.exposure))
+            lights.append((yield from shown(probe.light_by_steps(k, frame, run.exposure), said)))
     with open_three_spheres(run.scene, run.comparison) as spheres:
         for done, (_, place, frame) in enumerate(asked, start=len(asked)):
             yield Progress(done, 2 * len(asked), f"rendering three spheres at {place.name} in frame {frame}")
-            shown.append(spheres.seen_at(frame, place.at(frame), run.exposure))
-    for (k, place, frame), light, seen in zip(asked, lights, shown, strict=True):
+            pictures.append(spheres.seen_at(frame, place.at(frame), run.exposure))
+    for (k, place, frame), light, seen in zip(asked, lights, pictures, strict=True):
         stem = f"truth/{k}_{frame:04d}"
         files = {"panorama": f"{stem}_panorama.exr", "spheres": f"{stem}_spheres.exr", "shown": f"{stem}_spheres.png"}
         write_radiance(out / files["panorama"], light.panorama * np.float32(run.exposure))
