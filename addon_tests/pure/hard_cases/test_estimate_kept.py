@@ -72,16 +72,26 @@ CAMERA = Intrinsics(16, 12, 8.0, 8.0, 8.0, 6.0)
 AHEAD = [0.0, 0.0, -1.0]
 
 
-def frame(plane_depth_m: float, code: int = 180) -> RgbdFrame:
-    return RgbdFrame(np.full((12, 16, 3), code, np.uint8), np.full((12, 16), plane_depth_m), CAMERA, np.eye(4))
+ONE_PIXEL = Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5)
 
 
-def session(plane_depths: list[float]) -> tuple[bool, int, bool]:
+def frame(plane_depth_m: float, camera: Intrinsics = CAMERA) -> RgbdFrame:
+    shape = (camera.height, camera.width)
+    return RgbdFrame(np.full((*shape, 3), 180, np.uint8), np.full(shape, plane_depth_m), camera, np.eye(4))
+
+
+def session(plane_depths: list[float], camera: Intrinsics = CAMERA) -> tuple[bool, int, bool]:
     """After frames of these plane depths: whether a light is in use, skipped points, validity of what is asked."""
     controller = XiheController(LocalBackend(estimator("projection")))
     controller.add_position("ball", AHEAD)
-    skipped = sum(controller.step(frame(value))["ball"].n_invalid_points for value in plane_depths)
+    skipped = sum(controller.step(frame(value, camera))["ball"].n_invalid_points for value in plane_depths)
     return controller.light("ball") is not None, skipped, controller.estimate_at(AHEAD).is_valid
+
+
+def n_estimates(plane_depths: list[float]) -> int:
+    controller = XiheController(LocalBackend(estimator("projection")))
+    controller.add_position("ball", AHEAD)
+    return sum(controller.step(frame(value))["ball"].decision.fire for value in plane_depths)
 
 
 def session_by_hand(plane_depths: list[float]) -> tuple[bool, int, bool]:
@@ -115,6 +125,13 @@ CASES = [
         for name, plane_depths, outcome in SESSIONS
     ),
     row("a session that sees a wall has a valid light", [2.0], session, equal((True, 0, True))),
+    row(
+        "so has one whose frames have one pixel",
+        [2.0],
+        lambda depths: session(depths, ONE_PIXEL),
+        equal((True, 0, True)),
+    ),
+    row("a path that stands still is estimated once", [2.0] * 100, n_estimates, equal(1), len),
     *(
         row(f"an estimate with {name} is refused", wrong, made, refused(f"LightEstimate.{next(iter(wrong))}"))
         for name, wrong in WRONG_ESTIMATES.items()
