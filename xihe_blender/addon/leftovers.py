@@ -39,14 +39,13 @@ def _evaluate_unseen() -> None:
     """Bring the scene `Xihe Lit` and its room up to date, whichever of them no window shows.
 
     Blender 4.3 looks once a minute through all scenes for what it need not keep drawn, and crashes on instances that
-    Undo has left without evaluated objects. Of a scene that is shown its other view layers are left alone: evaluating
-    them after an Undo of Remove Light crashes it as well.
+    Undo has left without evaluated objects. A scene that is shown is left to Blender, which evaluates it next: hair that
+    is in both scenes belongs to the one that was evaluated last, and crashes Blender where the other one is shown. So
+    does evaluating its other view layers after an Undo of Remove Light.
     """
     lit = lit_scene()
-    layers = layers_of(() if lit is None else filter(None, (lit, lit.get(ROOM))))
-    windows = [window for manager in bpy.data.window_managers for window in manager.windows]
-    shown, shown_layers = {window.scene for window in windows}, {window.view_layer for window in windows}
-    evaluate_pending(layer for layer in layers if layer in shown_layers or layer.id_data not in shown)
+    shown = {None} | {window.scene for manager in bpy.data.window_managers for window in manager.windows}
+    evaluate_pending(layers_of({lit, lit and lit.get(ROOM)} - shown))
 
 
 @bpy.app.handlers.persistent
