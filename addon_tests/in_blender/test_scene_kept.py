@@ -213,6 +213,18 @@ def test_views_look_through_their_scenes_camera_though_a_copy_has_come_to_a_mark
         run.end()
 
 
+def test_a_job_ends_with_the_add_on_and_is_not_under_way_when_that_comes_back():
+    def job():
+        yield Progress(0, 1, "rendering")
+
+    with registered_addon():
+        run = RunUnderWay(bpy.context, job())
+        run.step()
+        assert bpy.context.window_manager.xihe.is_running
+    with registered_addon():
+        assert run.is_over and not bpy.context.window_manager.xihe.is_running
+
+
 def test_a_view_in_local_view_keeps_its_camera_and_a_job_under_way_does_not_redraw_it_for_that():
     scene, window = walk(4), bpy.context.window
     (area,) = (area for area in window.screen.areas if area.type == "VIEW_3D")

@@ -54,8 +54,11 @@ def register(package: str) -> None:
 
 
 def unregister() -> None:
-    """Take everything away that `register` made."""
+    """Take everything away that `register` made; what is under way ends in this window."""
     atexit.unregister(unregister)
+    run_under_way = importlib.import_module(f"{__name__}.modal_job").RunUnderWay.current
+    if run_under_way is not None:
+        run_under_way.end()
     _unregister(_modules())
 
 

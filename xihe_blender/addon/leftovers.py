@@ -39,9 +39,9 @@ def _evaluate_unseen() -> None:
     """Bring the scene `Xihe Lit` and its room up to date, whichever of them no window shows.
 
     Blender 4.3 looks once a minute through all scenes for what it need not keep drawn, and crashes on instances that
-    Undo has left without evaluated objects. A scene that is shown is left to Blender, which evaluates it next: hair that
-    is in both scenes belongs to the one that was evaluated last, and crashes Blender where the other one is shown. So
-    does evaluating its other view layers after an Undo of Remove Light.
+    Undo has left without evaluated objects. A scene that is shown is left to Blender, which evaluates it next: hair in
+    both scenes belongs to the one that was evaluated last, and crashes Blender where the other one is shown. So does
+    evaluating its other view layers after an Undo of Remove Light.
     """
     lit = lit_scene()
     shown = {None} | {window.scene for manager in bpy.data.window_managers for window in manager.windows}

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import bpy
 
@@ -39,8 +39,8 @@ LONGEST_WAIT_S = 1.0
 class RunUnderWay:
     """Drives a job of `xihe_blender.jobs` a step at a time and keeps window_manager.xihe up to date, until both end.
 
-    `end` may be called by whoever sees the end first: the operator, Blender when it loads another file, or Python when
-    Blender drops the operator because the add-on is disabled; the second call does nothing.
+    `end` may be called by whoever sees the end first: the operator, Blender when it loads another file, or the add-on
+    when it is disabled, for which Blender drops operators without a word; the second call does nothing.
 
     Parameters
     ----------
@@ -49,8 +49,12 @@ class RunUnderWay:
     works_here : whether the job works in the open file, where an Undo would take away what it works on
     """
 
+    current: ClassVar[RunUnderWay | None] = None
+    """The one that has not ended."""
+
     def __init__(self, context: bpy.types.Context, job: Job[Any], *, works_here: bool = True) -> None:
         self.is_over = False
+        RunUnderWay.current = self
         self.window_manager, self.workspace = context.window_manager, context.workspace
         self.job = job
         self.result: Any = None
@@ -97,7 +101,7 @@ class RunUnderWay:
         """Close the job, which puts the scene back, and take away what the window showed of it."""
         if self.is_over:
             return
-        self.is_over = True
+        self.is_over, RunUnderWay.current = True, None
         try:
             # Whoever deleted what the job works on left it nothing to put back.
             with contextlib.suppress(ReferenceError):
@@ -120,9 +124,6 @@ class RunUnderWay:
         # In background there is no workspace, and the one of a file that is left is gone.
         with contextlib.suppress(AttributeError, ReferenceError):
             self.workspace.status_text_set(line)
-
-    def __del__(self) -> None:
-        self.end()
 
 
 def redraw(window_manager: bpy.types.WindowManager, *, has_view_changed: bool = False) -> None:
