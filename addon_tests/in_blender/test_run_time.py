@@ -13,7 +13,14 @@ from xihe_blender.capture.all_around import N_VIEWS
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.budget_seeds import N_SEEDS
-from xihe_blender.previs.run_time import RenderTime, RunTime, format_run_time, pictures_needed, run_time_job
+from xihe_blender.previs.run_time import (
+    N_SESSIONS,
+    RenderTime,
+    RunTime,
+    format_run_time,
+    pictures_needed,
+    run_time_job,
+)
 from xihe_blender.scene.virtual_objects import virtual_collection
 
 
@@ -25,8 +32,12 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene():
     assert all(0 < n < many.renders[kind][0] for kind, (n, _) in few.renders.items()) and len(few.renders) == 3
     assert few.total_s > 0 and few.budget_s > 0
     # Nothing changes in this room: a look from each object and a ball serve for all frames.
-    n_probes, looks = 3, (2 + 3) * N_VIEWS * 24 / 32
-    assert few.budget_renders == {"capture": N_SEEDS * (2 + looks), "probe": N_SEEDS * n_probes}
+    n_probes, (capture, look) = 3, (few.budget_renders[kind][1] for kind in ("capture", "look"))
+    n_of_each = {"capture": 2, "look": (2 + n_probes) * N_VIEWS, "ball": n_probes}
+    n_of_each["chain"] = n_probes * (N_SESSIONS * 2 + 2 * N_VIEWS * 2)
+    assert {kind: n for kind, (n, _) in few.budget_renders.items()} == {k: N_SEEDS * n for k, n in n_of_each.items()}
+    # A smaller picture takes less for its rays, and as long to have the scene ready.
+    assert look == replace(capture, per_sample_s=capture.per_sample_s * 24 / 32)
 
 
 @pytest.mark.slow
@@ -65,11 +76,9 @@ def test_a_run_of_more_frames_takes_longer_in_proportion():
     assert double.total_s - 2 == pytest.approx(2 * (one.total_s - 2))
 
 
-def test_an_error_budget_takes_the_time_of_its_captures_and_light_probes():
-    of_each = {"capture": (3, RenderTime(0.1, 0.01, 10)), "probe": (2, RenderTime(1.0, 0.0, 8))}
-    one = RunTime(2.0, of_each, {"capture": 30, "probe": 6})
-    assert one.budget_s == pytest.approx(2 + 30 * 0.2 + 6 * 1.0)
-    assert RunTime(2.0, {}).budget_s == 2.0, "no virtual object is ever in view"
+def test_an_error_budget_takes_the_time_of_its_renders():
+    of_each = {"capture": (30, RenderTime(0.1, 0.01, 10)), "ball": (6, RenderTime(1.0, 0.0, 8))}
+    assert RunTime(2.0, {}, 3.0, of_each).budget_s == pytest.approx(3 + 30 * 0.2 + 6 * 1.0)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ that loads the scene: with one sample, with a few more, and with all if that is 
 straight line in its samples; the run's is that of all its frames, plus what preparing took. Light probes are measured
 at a few places, with few pictures: how many more they need depends on the place.
 
-Not counted: what a phone's errors and the chain itself take, some hundredths of a second a frame, and the start of a
-second Blender, some seconds.
+Not counted: what a phone's errors and the chain itself take in a run, some hundredths of a second a frame, and the
+start of a second Blender, some seconds. An error budget runs the chain so often that it is counted there.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from xihe_blender.capture.scanner import open_scanner
 from xihe_blender.compare.methods import GroundTruth
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import Job, Progress, Steps, shown, timed
+from xihe_blender.previs.budget_chain import EVERY_FRAME, SessionParts, lights_in_use, sight
 from xihe_blender.previs.budget_seeds import N_SEEDS
 from xihe_blender.previs.error_budget import MOST_LOOKS, N_MOMENTS
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
@@ -43,6 +44,10 @@ from xihenet.records import ObjectLight, Reflections, RgbdFrame
 FEW_SAMPLES = 4
 LONGEST_S = 4.0
 """A render that seems to take no longer is timed with all of its samples: many take less each than a few do."""
+
+N_SESSIONS = 8
+"""Times at most that an error budget runs the chain along the path: as it was, by least squares, and with a part
+perfect; clipping takes in each frame twice."""
 
 N_RENDERS = 3
 """Of each kind, in frames of their own: one that loads the scene, one with a single sample, and one with a few."""
@@ -66,13 +71,14 @@ class RunTime:
     """What a run consists of, and how long each part takes.
 
     `prepare_s` is until the first frame, and to load the scene for the first render of each kind. `renders` are by kind
-    how many there are, without those that an earlier frame has already, and the time of one. `budget_renders` are the
-    same of an error budget, whose balls take as long as light probes.
+    how many there are, without those that an earlier frame has already, and the time of one. `budget_prepare_s` and
+    `budget_renders` are the same of an error budget, which loads the scene anew with each seed; its chain counts too.
     """
 
     prepare_s: float
     renders: Mapping[str, tuple[int, RenderTime]]
-    budget_renders: Mapping[str, float] = field(default_factory=dict)
+    budget_prepare_s: float = 0.0
+    budget_renders: Mapping[str, tuple[int, RenderTime]] = field(default_factory=dict)
 
     @property
     def total_s(self) -> float:
@@ -81,7 +87,7 @@ class RunTime:
     @property
     def budget_s(self) -> float:
         """Of an error budget, all of its seeds."""
-        return sum((n * self.renders[kind][1].render_s for kind, n in self.budget_renders.items()), self.prepare_s)
+        return sum((n * one.render_s for n, one in self.budget_renders.values()), start=self.budget_prepare_s)
 
 
 def format_run_time(seconds: float) -> str:
@@ -106,7 +112,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     """The run's time, from a few renders of each kind, spread over the frames in which a position is in view."""
     active = list(run.reuse.captures)
     if not active:
-        return RunTime(prepared_s, {})
+        return RunTime(prepared_s, {}, prepared_s)
     frames = [active[k * len(active) // N_RENDERS] for k in range(N_RENDERS)]
     with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure
@@ -118,35 +124,59 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
 
         timing = time_renders(capture_at, frames, run.capture.samples, scanner.scene)
         capture_loaded_s, capture = yield from shown(timing, Progress(1, 4, "measuring a capture"))
-    probe_loaded_s, probe = yield from shown(_timed_probe(run), Progress(2, 4, "measuring a light probe"))
+    probe_loaded_s, probe, ball = yield from shown(_timed_probe(run), Progress(2, 4, "measuring a light probe"))
     comparing = _timed_comparison(run, frames, captured)
     comparison_loaded_s, comparison = yield from shown(comparing, Progress(3, 4, "measuring a comparison"))
     n_captures = sum(source == frame for frame, source in run.reuse.captures.items())
     n_probes = sum(source == frame for (frame, _), source in run.reuse.probes.items())
     n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
     renders = {"capture": (n_captures, capture), "probe": (n_probes, probe), "comparison": (n_comparisons, comparison)}
-    prepared_s += capture_loaded_s + probe_loaded_s + comparison_loaded_s
-    return RunTime(prepared_s, renders, _budget_renders(run, n_captures))
+    budget_loaded_s = N_SEEDS * (2 * capture_loaded_s + probe_loaded_s)
+    return RunTime(
+        prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
+        renders,
+        prepared_s + budget_loaded_s,
+        _budget_renders(run, n_captures, capture, ball) | {"chain": _budget_chain(run, captured)},
+    )
 
 
-def _budget_renders(run: PreparedRun, n_captures: int) -> dict[str, float]:
-    """How many captures and light probes the renders of an error budget are worth, at most; a look is six squares."""
+def _budget_renders(
+    run: PreparedRun, n_captures: int, capture: RenderTime, ball: RenderTime
+) -> dict[str, tuple[int, RenderTime]]:
+    """Those of an error budget, at most; it captures the whole path, and a look is six squares."""
     n_probes, n_states = len(run.plan.probes), len({state.room for state in run.reuse.states.values()})
     n_looks = min(MOST_LOOKS, len(run.plan.frames)) + n_probes * min(MOST_LOOKS, n_states)
-    looks = n_looks * N_VIEWS * min(run.plan.size) / max(run.plan.size)
-    return {"capture": N_SEEDS * (n_captures + looks), "probe": N_SEEDS * n_probes * min(N_MOMENTS, n_states)}
+    n_captures += len(run.plan.frames) - len(run.reuse.captures)
+    look = replace(capture, per_sample_s=capture.per_sample_s * min(run.plan.size) / max(run.plan.size))
+    return {
+        "capture": (N_SEEDS * n_captures, capture),
+        "look": (N_SEEDS * N_VIEWS * n_looks, look),
+        "ball": (N_SEEDS * n_probes * min(N_MOMENTS, n_states), ball),
+    }
 
 
-def _timed_probe(run: PreparedRun) -> Steps[tuple[float, RenderTime]]:
+def _budget_chain(run: PreparedRun, captured: Mapping[int, RgbdFrame]) -> tuple[int, RenderTime]:
+    """How often an error budget takes in a frame at a position, at most, and how long that takes with an estimate."""
+    n_frames = len(run.plan.frames)
+    n_looks = 2 * N_VIEWS * min(MOST_LOOKS, n_frames)  # Around the phone and around the object.
+    start = time.perf_counter()
+    sights = [sight(captured[frame], run.exposure) for frame in sorted(captured)]
+    lights_in_use(run, run.plan.probes[0], SessionParts(sights, EVERY_FRAME, None, run.estimator, {}), ())
+    step_s = (time.perf_counter() - start) / len(sights)
+    return N_SEEDS * len(run.plan.probes) * (N_SESSIONS * n_frames + n_looks), RenderTime(step_s, 0.0, 0)
+
+
+def _timed_probe(run: PreparedRun) -> Steps[tuple[float, RenderTime, RenderTime]]:
     """Of one reference light as a run measures it: the mean over a few, which may differ by four times and more.
 
-    Each is measured with few pictures, whose noise says how many a run will take.
+    Each is measured with few pictures, whose noise says how many a run will take. And of a satin ball, which is always
+    rendered with as many rays as there may be.
     """
     probes = {probe.name: (index, probe) for index, probe in enumerate(run.plan.probes)}
     rendered = [(frame, name) for (frame, name), source in run.reuse.probes.items() if source == frame]
     if not rendered:  # No position is ever in view.
-        return 0.0, RenderTime(0.0, 0.0, 0)
-    times_s, counts = [], []
+        return 0.0, RenderTime(0.0, 0.0, 0), RenderTime(0.0, 0.0, 0)
+    times_s, picture_s, counts = [], [], []
     yield
     with run.open_probes(run.plan.probes) as reference_probe:
         few = min(FEWEST_SAMPLES, run.reference.max_samples)
@@ -166,9 +196,11 @@ def _timed_probe(run: PreparedRun) -> Steps[tuple[float, RenderTime]]:
                 pictures_needed(taken[1], light.hdr_noise, run.reference),
             )
             ball_s = reference_probe.mirror_ball(index, frame)[1] if run.settings.has_reflections else 0.0
-            times_s.append(light.render_s * sum(needed) / sum(taken) + ball_s)
+            picture_s.append(light.render_s / sum(taken))
+            times_s.append(picture_s[-1] * sum(needed) + ball_s)
             counts.append(sum(needed) / 2)
-    return loaded_s, RenderTime(fmean(times_s), 0.0, round(fmean(counts)))
+    ball = RenderTime(0.0, fmean(picture_s), run.reference.max_samples)
+    return loaded_s, RenderTime(fmean(times_s), 0.0, round(fmean(counts))), ball
 
 
 def pictures_needed(n_taken: int, noise: float | None, settings: ProbeSettings) -> float:
