@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -205,3 +206,10 @@ def test_what_is_asked_at_every_redraw_needs_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
     n_true, n_asked = map(int, done.stdout.split()[-2:])
     assert 0 < n_true < n_asked
+
+
+@pytest.mark.parametrize(("width_px", "scale", "is_narrow"), [(209, 1.0, True), (291, 1.0, False), (316, 1.5, True)])
+def test_buttons_are_one_below_the_other_where_the_sidebar_would_cut_them(width_px, scale, is_narrow):
+    system = SimpleNamespace(ui_scale=scale)
+    context = SimpleNamespace(preferences=SimpleNamespace(system=system), region=SimpleNamespace(width=width_px))
+    assert panels.is_narrow(context) == is_narrow

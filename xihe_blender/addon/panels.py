@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.choices import DEFAULT_PHONE
@@ -40,9 +41,11 @@ N_NAMED = 6
 N_EFFECTS = 8
 N_WARNINGS = 3
 LABEL_SHARE = 0.42
+NARROW_SHARE = 0.6
 METHOD_SHARE = 0.34
 PIXELS_PER_CHARACTER = 6.6
 FEWEST_CHARACTERS = 16
+WIDE_CHARACTERS = 29
 RUN_SCALE = 1.5
 UNIT = re.compile(r"(?<=\d) (?=(?:%|s|ms|min|h|m)(?!\w))")
 """What stands between a number and its unit."""
@@ -323,8 +326,9 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
         row.operator(
             "xihe.show_room" if is_lit else "xihe.show_lit", icon="LOOP_BACK" if is_lit else "SHADING_RENDERED"
         )
-        row = layout.row(align=True)
-        row.operator("xihe.apply_light")
+        both = beside_or_below(context, layout)
+        both.operator("xihe.apply_light")
+        row = both.row(align=True)
         row.operator("xihe.remove_light")
         row.prop(context.scene.xihe, "follows_objects", text="", icon="CON_FOLLOWTRACK")
 
@@ -351,14 +355,17 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         column = layout.column(align=True)
         for name, value, meaning in result_rows(run):
             row = column.row(align=True)
-            split = row.split(factor=LABEL_SHARE)
-            split.label(text=name)
-            split.label(text=value, translate=False)
+            if is_narrow(context):
+                row.label(text=f"{iface_(name)}: {value}", translate=False)
+            else:
+                split = row.split(factor=LABEL_SHARE)
+                split.label(text=name)
+                split.label(text=value, translate=False)
             # A label has no tooltip.
             row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = meaning
         if run.settings.others and run.recording is None:
             _draw_methods(layout, run)
-        split = layout.split(factor=LABEL_SHARE)
+        split = layout.split(factor=NARROW_SHARE if is_narrow(context) else LABEL_SHARE)
         split.label(text="Go to Trigger")
         row = split.row(align=True)
         # Buttons of nothing but an icon do not grow by themselves.
@@ -373,8 +380,9 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("xihe.save_side_by_side", text="Save Video")
         row.operator("xihe.save_viewer", text="Save Viewer")
-        row = layout.row(align=True)
-        row.operator_menu_enum("xihe.export_light", "target", text="Export Light")
+        both = beside_or_below(context, layout)
+        both.operator_menu_enum("xihe.export_light", "target", text="Export Light")
+        row = both.row(align=True)
         row.operator("xihe.open_report", text="Open Report")
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = str(found_folder(settings.run_folder))
 
@@ -424,11 +432,11 @@ def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
 
 def _draw_looks(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     """The button that asks where the phone should look, and what is advised for the active virtual object."""
-    row = layout.row(align=True)
-    row.operator("xihe.look_where", icon="HIDE_OFF")
+    both = beside_or_below(context, layout)
+    both.operator("xihe.look_where", icon="HIDE_OFF")
     advice = advice_for(context)
     if any(one.has_look for one in advice):
-        row.operator("xihe.add_better_camera", icon="CAMERA_DATA")
+        both.operator("xihe.add_better_camera", icon="CAMERA_DATA")
     for one in advice:
         sentence(context, layout, f"{one.name!r}: {one.sentence}", icon="INFO")
     if other_cameras(context):
@@ -527,6 +535,16 @@ def sentence(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, 
     column.scale_y = 0.8
     for index, line in enumerate(wrapped(as_sentence(text), line_length(context, has_icon=icon != "NONE"))):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE", translate=False)
+
+
+def is_narrow(context: bpy.types.Context) -> bool:
+    """Whether someone has made the sidebar so narrow that two buttons beside each other would be cut."""
+    return line_length(context, has_icon=False) < WIDE_CHARACTERS
+
+
+def beside_or_below(context: bpy.types.Context, layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    """A layout of two buttons, one below the other where the sidebar is narrow."""
+    return layout.column(align=True) if is_narrow(context) else layout.row(align=True)
 
 
 def wrapped(text: str, length: int) -> list[str]:
