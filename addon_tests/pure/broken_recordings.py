@@ -435,6 +435,10 @@ PLAIN = {
     "units of 0": (plain(metres_per_unit=0), "expected positive numbers"),
     "units that are large": (plain(metres_per_unit=10), READ),
     "no frames a second": (plain(frames_per_second=0), "expected positive numbers"),
+    "colour is empty": (
+        lambda path: [one.unlink() for one in (path / "colour").iterdir()],
+        "colour: expected pictures",
+    ),
     "no poses": (gone(POSES), "no picture of colour/ has depth and a pose"),
     "poses are garbage": (put(POSES, b"\xff\xfe" + GARBAGE), "expected numbers as text"),
     "poses of another number": (put(POSES, "0 0 0 0 0 0 0 1\n"), "expected a line for each of 3"),

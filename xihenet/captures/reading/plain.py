@@ -49,6 +49,10 @@ def read(folder: Path, up: str | None) -> Capture:
             raise ValueError("metres_per_unit and frames_per_second: expected positive numbers")
     colours, depths = _images(folder / "colour"), _by_name(_images(folder / "depth"))
     confidences = _by_name((folder / "confidence").glob("*.png"))
+    if not colours:
+        raise ValueError(
+            f"{folder / 'colour'}: expected pictures, which end in {' or '.join(SUFFIXES)}, and found none"
+        )
     poses, times_s = _poses(folder, colours)
     frames, are_sure = [], []
     for i, (colour, pose) in enumerate(zip(colours, poses, strict=True)):
@@ -62,8 +66,8 @@ def read(folder: Path, up: str | None) -> Capture:
         are_sure.append(confidence is not None)
         frames.append(picture_frame(i + 1, time_s, camera, colour, depths[name], metres_per_unit, confidence))
     if not frames:
-        wanted = f": expected finite numbers, and depth/{colours[0].stem}.png for {colours[0].name}" if colours else ""
-        raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name{wanted}")
+        wanted = f"expected finite numbers, and depth/{colours[0].stem}.png for {colours[0].name}"
+        raise ValueError(f"{folder}: no picture of colour/ has depth and a pose of its name: {wanted}")
     notes = notes_on_times([frame.time_s for frame in frames])
     if times_s is None:
         notes += (f"Times are not known: {fps:g} frames a second are assumed.",)
