@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from xihenet.light.environments import laid_out
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.light.platforms import PLATFORMS, coefficients_for, convention_of, main_light_for, soft_light
+from xihenet.panorama import panorama_directions
 from xihenet.records import KeyLight, ObjectLight
 from xihenet.sh import irradiance
 
@@ -165,6 +167,16 @@ def test_a_colour_that_the_engine_takes_to_a_power_comes_out_as_it_was_meant(bri
     linear = colour**2.2 * main.intensity if above else (colour * main.intensity) ** 2.2
     np.testing.assert_allclose(linear * np.pi, light.key.irradiance)
     assert colour.max() <= 1 + 1e-12
+
+
+def test_godot_looks_light_up_in_the_picture_of_usd_where_it_comes_from():
+    """Its sky shader's `panorama_coords`, from the direction with +Y up."""
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    x, y, z = directions[:, 0], directions[:, 2], -directions[:, 1]
+    u, v = np.arctan2(x, -z) % (2 * np.pi) / (2 * np.pi), np.arccos(y) / np.pi
+    picture = laid_out(panorama_directions(256, 512), PLATFORMS["usd"].picture)
+    np.testing.assert_allclose(picture[(v * 256).astype(int), (u * 512).astype(int)], directions, atol=0.02)
 
 
 @pytest.mark.parametrize("key", [None, replace(KEY, irradiance=np.zeros(3))])
