@@ -6,6 +6,7 @@ rooms. Portals stand in the windows: without them nearly all samples of the sky 
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import asdict, dataclass, replace
 
@@ -54,9 +55,16 @@ class PlanWalls(Walls):
         return box_between((rect.x0, rect.y0, up[0]), (rect.x1, rect.y1, up[1]))
 
 
+@functools.cache
+def _take_factory_preferences() -> None:
+    """Once in a process: with them a new file takes six times as long, since every add-on is registered anew."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
 def build_room(room: Room) -> bpy.types.Scene:
     """A new file with the room in its scene, without a camera; whatever was open is gone."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    _take_factory_preferences()
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
