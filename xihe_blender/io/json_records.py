@@ -36,6 +36,8 @@ PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string", type(N
 
 def as_json(value: object) -> Json:
     """`value`, of records, tuples, lists, dicts, arrays and plain values, as `json.dumps` takes it."""
+    if type(value) in PLAIN:
+        return value
     if dataclasses.is_dataclass(value):
         content: dict[str, Json] = {}
         for field in dataclasses.fields(value):
