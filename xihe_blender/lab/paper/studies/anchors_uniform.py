@@ -60,10 +60,13 @@ ANCHORS: dict[str, AnchorLattice] = {"even": AnchorLattice(N_ANCHORS), "grid": G
 
 def areas(lattice: AnchorLattice, rng: np.random.Generator) -> ArrayF64:
     """(n,) the share of the sphere that is nearest to each anchor, by a random direction in each of equal cells."""
-    across, height = np.indices((N_ACROSS, N_ACROSS)).reshape(2, -1) + rng.random((2, N_ACROSS**2))
-    azimuth, z = 2 * np.pi * across / N_ACROSS, 2 * height / N_ACROSS - 1
-    directions = np.stack([np.sqrt(1 - z * z) * np.cos(azimuth), np.sqrt(1 - z * z) * np.sin(azimuth), z], axis=1)
-    return np.asarray(np.bincount(lattice.nearest(directions), minlength=lattice.n) / N_ACROSS**2)
+    across, height = rng.random((2, N_ACROSS, N_ACROSS)) + np.indices((N_ACROSS, N_ACROSS))
+    counts = np.zeros(lattice.n)
+    for azimuth, z in zip(2 * np.pi * across / N_ACROSS, 2 * height / N_ACROSS - 1, strict=True):
+        from_axis = np.sqrt(1 - z * z)
+        columns = np.stack([from_axis * np.cos(azimuth), from_axis * np.sin(azimuth), z])
+        counts += np.bincount(lattice.nearest_to_columns(columns), minlength=lattice.n)
+    return np.asarray(counts / N_ACROSS**2)
 
 
 def relative_spread(shares: NDArray[Any]) -> float:
