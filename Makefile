@@ -36,8 +36,9 @@ previs: $(VENV)/installed
 	$(BIN)/xihe previs blend_scenes/living_room.blend --out "$(OUT)" --preset draft \
 		$(if $(FRAMES),--frames $(FRAMES))
 
-# A process per core, and in each one thread for matrices, or they wait for each other. A file's tests stay together, since
-# they share what its fixtures made; files keep their order, in which those that render come first and none is left to the end.
+# One process more than cores, since some of them always wait; in each one thread for matrices, or they wait for each other.
+# A file's tests stay together, since they share what its fixtures made; files keep their order, in which those that render
+# come first and none is left to the end.
 test: $(VENV)/installed
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 

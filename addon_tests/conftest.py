@@ -1,5 +1,6 @@
 """What all tests share. Hypothesis does not judge by the clock, since a busy machine is no defect."""
 
+import gc
 import os
 import sys
 import time
@@ -9,6 +10,7 @@ from hypothesis import settings
 
 import addon_tests.fuzz  # noqa: F401  registers the profile of the search
 from addon_tests.hard_case import comes_out, table
+from xihenet.child_processes import n_cores
 
 __all__ = ["comes_out"]
 
@@ -21,6 +23,22 @@ settings.load_profile("any_machine")
 def pytest_addoption(parser):
     parser.addoption("--catalogue", action="store_true", help="print the hard cases that ran, and what came of them")
     parser.addoption("--until", type=float, default=float("inf"), help="start no test after this time, in Unix seconds")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config):
+    """One process more than cores: a tenth of the time of two cores is waits, for servers, time-outs and processes."""
+    return n_cores() + 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session):
+    """Without looking for garbage: what is collected stays, and there is a seventh less to wait."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
 
 
 def pytest_runtest_setup(item):
