@@ -183,8 +183,13 @@ def test_a_copy_with_the_better_camera_is_saved_and_the_file_stays(scene, away, 
 def test_a_camera_file_must_be_another_blend(tmp_path):
     with pytest.raises(UserError, match=r"is no \.blend"):
         check_camera_file(tmp_path / "camera.mp4", tmp_path / "room.blend")
-    with pytest.raises(UserError, match="another file"):
-        check_camera_file(tmp_path / "room.blend", tmp_path / "room.blend")
+    room, same = tmp_path / "room.blend", tmp_path / "ROOM.BLEND"  # As on a disk that takes both for one name.
+    room.touch()
+    same.hardlink_to(room)
+    for path in (room, same):
+        with pytest.raises(UserError, match="another file"):
+            check_camera_file(path, room)
+    check_camera_file(tmp_path / "camera.BLEND", room)
 
 
 def test_a_look_is_for_objects_or_for_the_map(room_file, tmp_path):

@@ -65,7 +65,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
 def _folder(options: argparse.Namespace) -> Path:
     """Of the run."""
     given: Path = options.results
-    if given.suffix == ".blend":
+    if given.suffix.lower() == ".blend":
         raise UserError(f"{given} is no run: give the run's RESULTS.json, or this file by --from")
     folder = given.parent if given.name == "results.json" else given
     if not folder.is_dir():

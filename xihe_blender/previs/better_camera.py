@@ -90,9 +90,9 @@ def remove_better_camera() -> None:
 
 def check_camera_file(path: Path, blend_file: Path) -> None:
     """UserError unless `path` can be the copy of `blend_file` with the better camera."""
-    if path.suffix != ".blend":
+    if path.suffix.lower() != ".blend":
         raise UserError(f"{path} is no .blend: give --camera a file such as {path.with_suffix('.blend').name}")
-    if path.resolve() == blend_file.resolve():
+    if path.exists() and path.samefile(blend_file):  # By its path alone ROOM.blend would be another, on macOS.
         raise UserError(f"{path} is the scene itself, which is not changed: give --camera another file")
 
 

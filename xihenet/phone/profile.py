@@ -96,7 +96,7 @@ def load_profile(name_or_path: str | Path) -> PhoneProfile:
     names = profile_names()
     path = PROFILES_FOLDER / f"{name_or_path}.toml" if str(name_or_path) in names else Path(name_or_path)
     if not path.is_file():
-        if path.suffix == ".toml":
+        if path.suffix.lower() == ".toml":
             raise ValueError(f"{path}: there is no such file")
         raise ValueError(
             f"there is no phone profile {str(name_or_path)!r}: choose one of {', '.join(names)}, "
