@@ -195,6 +195,18 @@ def test_irradiance_is_that_of_a_white_patch():
     assert np.abs(found.mean(axis=0) / patched.mean(axis=0) - 1).max() < 0.02
 
 
+def test_filter_glossy_blurs_what_the_probe_meets_as_for_a_matte_surface():
+    """A rough metal is darker than a polished one: in a white world the blur is seen by that."""
+    scene = dark_scene()
+    set_world(scene, (1.0, 1.0, 1.0))
+    metal = shader_look("Metal", "BsdfAnisotropic", Roughness=0.0, Color=(1.0, 1.0, 1.0, 1.0))
+    box(scene, "Mirror", POSITION - (0, 0, 0.2), (50, 50, 0.1), metal)
+    scene.cycles.blur_glossy = 1.0
+    mean = measured(scene).hdr[0, 0] / np.sqrt(4 * np.pi)
+    up, down, beside = (_baked(scene, POSITION, normal)[0] / np.pi for normal in (UP, DOWN, np.array([1.0, 0, 0])))
+    assert down < 0.98 and mean == pytest.approx((up + down + 4 * beside) / 6, abs=0.015)
+
+
 def _baked(scene, place, normal):
     """(3,) irradiance that Blender bakes onto a square of a millimetre."""
     square = box(scene, "Patch", place, (1e-3, 1e-3, 1e-6), material("White", (1.0, 1.0, 1.0)))
@@ -204,6 +216,7 @@ def _baked(scene, place, normal):
     attribute = square.data.color_attributes.new("Bake", "FLOAT_COLOR", "CORNER")
     square.data.color_attributes.active_color = attribute
     scene.cycles.samples = 200
+    bpy.context.view_layer.update()
     for item in bpy.context.view_layer.objects:
         item.select_set(item == square)
     bpy.context.view_layer.objects.active = square
