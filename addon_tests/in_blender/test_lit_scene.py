@@ -17,6 +17,7 @@ from shown_lights import keyed, shown_light
 from tiny_scenes import box, material, opened, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon import leftovers, light_operators
+from xihe_blender.addon.live_light import misplaced
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.addon.run_settings import choices_of_run, choose_as_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
@@ -684,6 +685,16 @@ def test_the_buttons_go_there_and_back(ran):
             assert bpy.ops.xihe.show_room() == {"FINISHED"}
             assert bpy.context.window.view_layer == shown
         assert bpy.context.scene.name == "Scene"
+
+
+def test_another_unit_scale_than_in_the_run_is_said_and_no_object_counts_as_moved(ran):
+    with registered_addon():
+        scene = opened(ran.out / "after.blend")
+        scene.xihe.run_folder = str(ran.out)
+        scene.unit_settings.scale_length = 0.01
+        with pytest.raises(UserError, match=r"Unit Scale of 1: set it back in the scene's Units, or run again"):
+            show_lit(scene, ran.out)
+        assert misplaced(scene, bpy.context.evaluated_depsgraph_get()) == {}
 
 
 def test_a_view_is_put_back_as_it_was_and_as_far_as_an_earlier_version_noted_it():

@@ -22,6 +22,7 @@ from xihe_blender.addon.failures import FAILURES, Action, format_error
 from xihe_blender.addon.modal_job import redraw
 from xihe_blender.addon.polls import may_move
 from xihe_blender.addon.properties import last_run_folder
+from xihe_blender.addon.runs_folder import last_run, other_unit
 from xihe_blender.apply.datablocks import LightOf, applied_worlds, lights_by_sh, room_of
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
@@ -67,10 +68,12 @@ _task: Task | None = None
 def misplaced(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> dict[str, dict[str, ArrayF64]]:
     """The virtual objects that are not where their light is of, or have none: positions (3,) in metres by object.
 
-    Those that may move along the path are left out.
+    Those that may move along the path are left out; all are where the scene's unit is not that of the run.
     """
     from xihe_blender.scene.estimation_positions import named_positions
 
+    if other_unit(scene, last_run(scene.xihe.run_folder)):
+        return {}
     worlds, found = applied_worlds(scene), {}
     for item in virtual_objects(scene):
         known = LightOf.read(worlds[item.name]) if item.name in worlds else LightOf()

@@ -27,7 +27,7 @@ from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.addon.look_operators import advice_for, other_cameras
 from xihe_blender.addon.planning_operators import calibration_line, known_times
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
-from xihe_blender.addon.runs_folder import found_folder, last_run
+from xihe_blender.addon.runs_folder import found_folder, last_run, other_unit
 from xihe_blender.apply.datablocks import moved_positions
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -343,7 +343,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         if run is None:
             sentence(context, layout, missing_run(settings.run_folder))
             return
-        if said := made_of(context.scene, run):
+        for said in filter(None, (made_of(context.scene, run), other_unit(context.scene, run))):
             sentence(context, layout, said, icon="INFO")
         for said in shown_warnings(run):
             sentence(context, layout, said, icon="ERROR")

@@ -17,6 +17,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from xihe_blender.addon.runs_folder import other_unit
 from xihe_blender.apply.datablocks import (
     COMPARISON_NAME,
     FRAME,
@@ -115,6 +116,8 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     UserError if no virtual object of the run is in the scene any more, or if nothing was captured.
     """
     results = read_results(folder)
+    if said := other_unit(scene, results):
+        raise UserError(said)
     here = lit_here(scene, results)
     if (results.lights and not here) or any(name not in applied_worlds(scene) for name in here):
         apply_results(scene, folder)

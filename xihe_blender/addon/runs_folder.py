@@ -18,6 +18,7 @@ import bpy
 from xihe_blender.addon.preferences import RUNS, folders_with_runs, runs_folder
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import cut_stem
+from xihe_blender.scene.units import metres_per_unit
 
 if TYPE_CHECKING:
     from xihe_blender.io.budget_results import BudgetResults
@@ -88,6 +89,14 @@ def last_run(folder: str) -> RunResults | None:
         return read_results(found_folder(folder)) if folder else None
     except UserError:
         return None
+
+
+def other_unit(scene: bpy.types.Scene, run: RunResults | None) -> str | None:
+    """That the unit of `scene` was another one in `run`, and all that it knows of places is of that; else None."""
+    was = None if run is None else run.scene.unit_m
+    if was is None or was == metres_per_unit(scene):
+        return None
+    return f"The run was made with a Unit Scale of {was:.6g}: set it back in the scene's Units, or run again"
 
 
 def last_budget(folder: str) -> BudgetResults | None:

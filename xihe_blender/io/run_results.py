@@ -48,6 +48,7 @@ class SceneResult:
     virtual_objects: Annotated[tuple[str, ...], "names, in the order of the results"]
     view_transform: Annotated[str, "the scene's own; pictures are made with Standard"]
     faults: Annotated[tuple[Fault, ...], "see there"] = ()
+    unit_m: Annotated[float | None, "metres of a Blender unit; None in results of earlier versions"] = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ from xihe_blender.previs.results_notes import mean_object_pixels, notes_and_warn
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean
+from xihe_blender.scene.units import metres_per_unit
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
 from xihenet.invalid import added, counted
@@ -108,6 +109,7 @@ def assemble(
             virtual_objects=tuple(item.name for item in run.plan.objects),
             view_transform=scene.view_settings.view_transform,
             faults=run.survey.faults,
+            unit_m=metres_per_unit(scene),
         ),
         effects=tuple(from_json(records.EffectResult, row) for row in effects),
         phone=records.PhoneResult(
