@@ -643,8 +643,11 @@ def test_the_one_that_was_saved_with_the_run_is_shown_over_its_frames_as_it_was_
     assert "Xihe Lit Table" in saved_lit.objects
 
 
-def test_removing_the_light_takes_it_away(ran, shown):
+@pytest.mark.parametrize("is_copied", [False, True])
+def test_removing_the_light_takes_it_away(ran, shown, is_copied):
     assert has_anything(shown)
+    if is_copied:
+        shown.copy()
     remove_everything()
     bpy.context.view_layer.update()
     assert data_blocks(snapshot()) == data_blocks(ran.before)

@@ -316,7 +316,9 @@ def remove_everything() -> None:
 
     Of all scenes: without their worlds their markers would say what is not so.
     """
-    remove_lit_scene()
+    while lit_scene() is not None:  # The user may have copied it.
+        remove_lit_scene()
+    remove_lit_scene()  # What is left of one that the user has deleted.
     remove_placement_map()
     remove_applied_light()
     for sun in key_suns():
