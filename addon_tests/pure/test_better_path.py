@@ -91,6 +91,17 @@ def test_a_path_that_saw_nothing_has_an_advice_all_the_same():
     assert choose_look(looks, [unseen], known, CAMERA, LATTICE, SETTINGS).is_worth_it
 
 
+@pytest.mark.parametrize(
+    ("pitch_deg", "thing"), [(-90, (-2.0, 1.5, 0.8)), (-90, (-2.3, -1.8, -1.3)), (0, (2.0, -1.5, -0.5))]
+)
+def test_an_object_far_from_all_that_was_seen_has_a_look_and_of_its_directions_about_as_many_as_it_shows(
+    pitch_deg, thing
+):
+    best = advice([facing(0, pitch_deg)], thing=np.array(thing))
+    shown = sample_unit_sphere(unproject_frame(box_frame(best.look.end)), np.array(thing), LATTICE).is_set
+    assert best.is_worth_it and best.shown.mean() == pytest.approx(shown.mean(), abs=0.15)
+
+
 def test_a_view_that_is_walled_off_by_known_geometry_adds_nothing():
     cloud = UnitSphereCloud.empty(LATTICE.n)
     unseen = guess_unseen(cloud, np.array([0.0, 3.0, 0.0]), np.full(LATTICE.n, 4.0), LATTICE)

@@ -4,7 +4,8 @@ A look is a turn of the phone away from its path at one frame, a second of holdi
 tried on what the frames of the path show, and nothing is rendered. What lies in directions that nobody has seen is not
 known, so it is guessed:
 
-- its distance: the end of the convex hull of all that was seen, with 1 m of free air around each place of the phone;
+- its distance: the end of the convex hull of all that was seen, with 1 m of free air around each place of the phone,
+  and around a position as much as it lies outside of that, 1 m at most;
 - whether a look would show it: it falls into the picture, and nothing is known in that direction from the phone's
   place, else it would be hidden, or known not to be there;
 - how much light comes from it: as much as from what was seen near it, half as much below the horizon.
@@ -39,7 +40,8 @@ from xihenet.records import (
 from xihenet.sphere import AnchorLattice
 
 FREE_M = 1.0
-"""Around each place of the phone, taken to be free: nobody walks along a wall with the phone touching it."""
+"""Around each place of the phone, taken to be free: nobody walks along a wall with the phone touching it. Around a
+position that lies outside of all that was seen as well."""
 
 HULL_SHARE = 98.0
 """Per cent of the points that lie within the hull: what is seen through a window does not make the room larger."""
@@ -151,10 +153,13 @@ def guess_unseen(cloud: UnitSphereCloud, position_m: ArrayF64, hull_m: ArrayF64,
 def _hull_exit_m(support_m: ArrayF64, lattice: AnchorLattice) -> ArrayF64:
     """(N,) where rays from a position leave the hull whose support about that position is (N,); at least 0.1 m.
 
-    A ray along d leaves the half-space of direction n at support(n) / (d . n); the first of all counts.
+    A ray along d leaves the half-space of direction n at support(n) / (d . n); the first of all counts. A position
+    outside widens the hull by a ball around it, of the radius by which it is outside, `FREE_M` at most: else all that
+    is unseen around it would be guessed to lie at the position itself, which a look shows at once or not at all.
     """
     cosines = lattice.directions @ lattice.directions.T
-    exits = np.where(cosines > 0.05, np.maximum(support_m, 0.1) / np.maximum(cosines, 0.05), np.inf)
+    support_m = np.maximum(support_m, np.clip(-support_m.min(), 0.1, FREE_M))
+    exits = np.where(cosines > 0.05, support_m / np.maximum(cosines, 0.05), np.inf)
     nearest: ArrayF64 = exits.min(axis=1)
     return np.where(np.isfinite(nearest), nearest, FAR_M).clip(0.1, FAR_M)
 
