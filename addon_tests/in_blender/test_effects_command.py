@@ -2,9 +2,11 @@
 
 import contextlib
 import hashlib
+import itertools
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -165,8 +167,17 @@ def test_the_plan_is_shown_before_the_costs_and_each_cost_as_it_is_known(blend):
 def test_what_the_budget_has_no_time_for_is_named(blend):
     """And not the network or an effect of the phone, which cost no render."""
     shown = xihe_here("effects", blend, "--budget", "1e-9", "--network", "wifi").stdout
-    late = re.findall(r"^(.*): not measured within the budget", shown, re.MULTILINE)
+    late = re.findall(r"^(.*): not measured within 1e-09 s, give a larger --budget", shown, re.MULTILINE)
     assert "diffuse bounces" in late and not {*late} & {*PHONE_EFFECTS}
+
+
+def test_what_was_measured_when_the_time_ran_out_is_told_all_the_same(monkeypatch):
+    scene, clock = room_with_a_virtual_sphere(n_frames=1), itertools.count()
+    monkeypatch.setattr(costs, "time", SimpleNamespace(perf_counter=lambda: float(next(clock))))
+    with few_costs({"diffuse bounces"}, n_seeds=2):
+        effects = run_blocking(effects_of_run(scene, PrevisSettings(), budget_s=2.0))
+    cost = effects["diffuse bounces"].cost
+    assert cost is not None and cost.picture is not None and cost.light is None
 
 
 def test_a_scene_without_a_camera_and_objects_has_a_plan_and_no_costs():

@@ -22,7 +22,7 @@ COST_HEADER = f"{'effect':<20}  {'cost':<12}  {'light':<16}  picture"
 COST_LEGEND = """
 The column "cost" is the render time that the effect adds. The columns "light" and "picture" are how much the mean
 radiance of the light probe and of the phone's picture changes when the effect is left out. Each figure has its
-standard error after it: a figure within two standard errors of zero may be chance."""
+standard error after it: a figure within two standard errors of zero may be chance. A dash: not measured, or black."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     elif not options.plan_only:
         measurable = [name for name, effect in effects.items() if effect.is_switchable and name not in PHONE_EFFECTS]
         late = [name for name in measurable if effects[name].cost is None]
-        lines = [f"\n{name}: not measured within the budget of {options.budget:g} s" for name in late]
+        lines = [f"\n{name}: not measured within {options.budget:g} s, give a larger --budget" for name in late]
         show("".join(lines) + COST_LEGEND)
 
 

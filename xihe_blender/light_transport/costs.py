@@ -86,7 +86,8 @@ def measure_costs(
     required, choices : what the scene requires and what the user wants; see `plan_effects`
     positions : (K, 3) world, metres; the light probe stands at the first. Empty is legal
     frame : at which to render
-    budget_s : seconds, shared among the effects; each that is begun has FEWEST_SEEDS, and the others have no cost
+    budget_s : seconds, shared among the effects; each that is begun has FEWEST_SEEDS, of the picture alone where time
+        ran out before the light probe, and the others have no cost
     on_cost : called with the name of each effect as soon as its cost is known
     """
     variants, deadline = _variants(required, choices), time.perf_counter() + budget_s
@@ -100,6 +101,12 @@ def measure_costs(
     units = [(kind, name) for kind in kinds for name in names if (kind, name) != ("light", "denoising")]
     rounds: dict[str, dict[str, ArrayF64]] = {name: {} for name in variants}
     costs: dict[str, EffectCost] = {}
+
+    def know(name: str) -> None:
+        costs[name] = _cost(rounds[name], has_effect=variants[name].has_effect)
+        if on_cost is not None:
+            on_cost(name, costs[name])
+
     with scene_kept(), contextlib.ExitStack() as stack:
         shared: dict[str, _View] = {}
         for done, (kind, name) in enumerate(units):
@@ -117,9 +124,10 @@ def measure_costs(
                 found = _in_turns(shared[kind], (baseline, variants[name]), stop_at, progress)
             rounds[name][kind] = yield from found
             if name not in [other for _, other in units[done + 1 :]]:
-                costs[name] = _cost(rounds[name], has_effect=variants[name].has_effect)
-                if on_cost is not None:
-                    on_cost(name, costs[name])
+                know(name)
+    for name in names:
+        if rounds[name] and name not in costs:
+            know(name)
     return costs
 
 
