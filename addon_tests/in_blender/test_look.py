@@ -79,6 +79,9 @@ def test_the_sentence_says_what_a_look_takes_and_rounds_no_gain_up():
         "look left for 1 second at frame 31, 2.6 s with the turns. The share of directions that are seen rises from "
         "94 % to 97 %, and the expected error falls from 0.026 to 0.025"
     )
+    without = replace(ball, look=None)
+    assert without.sentence == "no look away from this path would add much: it shows 94 % of all directions"
+    assert replace(without, coverage=0.011).sentence.endswith("Lead the path around or closer, or choose another place")
 
 
 def test_the_advice_goes_by_what_the_path_has_not_shown(scene, advice):

@@ -70,9 +70,9 @@ class ObjectAdvice:
     def sentence(self) -> str:
         """Such as "look up left for 1 second at frame 12: ..."."""
         if self.look is None:
-            return (
-                f"no look of a second would add much: the path shows {format_percent(self.coverage)} of all directions"
-            )
+            instead = ". Lead the path around or closer, or choose another place" if self.coverage < 0.5 else ""
+            seen = f"it shows {format_percent(self.coverage)} of all directions"
+            return f"no look away from this path would add much: {seen}{instead}"
         look = self.look
         seconds = f"{look.hold_s:g} second{'' if look.hold_s == 1 else 's'}"
         said = (
