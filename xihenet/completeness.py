@@ -29,6 +29,16 @@ def coverage(cloud: UnitSphereCloud) -> float:
     return int(np.count_nonzero(cloud.is_set)) / len(cloud) if len(cloud) else 0.0
 
 
+def share_from_behind(cloud: UnitSphereCloud) -> float:
+    """Share of the set anchors whose surface turns its unseen side to the position, 0 to 1.
+
+    0 where no surface is known. Some 0.1 in a furnished room, over a half inside a closed thing or behind a wall.
+    """
+    if cloud.surfaces is None or not cloud.is_set.any():
+        return 0.0
+    return float((cloud.surfaces.facing[cloud.is_set] < 0).mean())
+
+
 def joint_entropy(points_m: ArrayLike, position_m: ArrayLike, *, sizes: Sequence[int] = ENTROPY_SIZES) -> float:
     """Joint entropy of the points' directions and the anchors, in bits, summed over `sizes`, numbers of anchors.
 

@@ -74,6 +74,7 @@ def test_the_sentence_says_what_a_look_takes_and_rounds_no_gain_up():
     turn = {"frame": 31, "words": "left", "yaw_deg": 61.0, "pitch_deg": 0.0, "turn_deg": 61.0}
     look = LookAway(**turn, hold_s=1, whole_s=2.6, place_m=(0.0, 0.0, 1.4), direction=(0.0, 1.0, 0.0))
     of_ball = {"positions_m": ((0.0, 0.0, 0.0),), "coverage": 0.94, "gain": 0.05, "predicted_coverage": 0.97}
+    of_ball["from_behind"] = 0.1
     ball = ObjectAdvice(name="Ball", look=look, expected_error=0.0260, predicted_error=0.0249, **of_ball)
     assert ball.sentence == (
         "look left for 1 second at frame 31, 2.6 s with the turns. The share of directions that are seen rises from "
@@ -81,6 +82,8 @@ def test_the_sentence_says_what_a_look_takes_and_rounds_no_gain_up():
     )
     without = replace(ball, look=None)
     assert without.sentence == "no look away from this path would add much: it shows 94 % of all directions"
+    inside = replace(without, from_behind=0.56).sentence
+    assert "place, which seems to be inside or behind something: 56 % of the surfaces" in inside
     assert replace(without, coverage=0.011).sentence.endswith("Lead the path around or closer, or choose another place")
 
 

@@ -10,6 +10,7 @@ from xihenet.buffers import merge
 from xihenet.camera import pixel_rays, unproject_frame
 from xihenet.camera_path.better_path import LEAST_GAIN, KnownRoom, choose_look, guess_unseen, shown_by
 from xihenet.camera_path.looks import Look, LookSettings, direction_words, looks_of, random_looks, turned_view
+from xihenet.completeness import share_from_behind
 from xihenet.records import Intrinsics, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sphere import AnchorLattice
@@ -100,6 +101,13 @@ def test_an_object_far_from_all_that_was_seen_has_a_look_and_of_its_directions_a
     best = advice([facing(0, pitch_deg)], thing=np.array(thing))
     shown = sample_unit_sphere(unproject_frame(box_frame(best.look.end)), np.array(thing), LATTICE).is_set
     assert best.is_worth_it and best.shown.mean() == pytest.approx(shown.mean(), abs=0.15)
+
+
+def test_behind_a_wall_the_surfaces_that_were_seen_turn_their_other_side_to_the_object():
+    points = unproject_frame(box_frame(facing(0)))
+    inside, behind = (sample_unit_sphere(points, np.array([0.0, y, 0.0]), LATTICE) for y in (1.0, 2.5))
+    assert share_from_behind(inside) == 0 and share_from_behind(behind) > 0.5
+    assert share_from_behind(UnitSphereCloud.empty(LATTICE.n)) == 0
 
 
 def test_a_view_that_is_walled_off_by_known_geometry_adds_nothing():

@@ -8,6 +8,9 @@ from typing import Annotated
 from xihe_blender.io.path_results import PathResults, Triple
 from xihenet.formats import format_percent
 
+MOST_FROM_BEHIND = 0.4
+"""Of an object that stands free; up to 0.28 at 124 places of two furnished rooms, 0.56 in a closed box there."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class LookAway:
@@ -54,6 +57,7 @@ class ObjectAdvice:
     name: str
     positions_m: Annotated[tuple[Triple, ...], "estimation positions, in the world"]
     coverage: Annotated[float, "share of the directions that the path shows, mean over the positions"]
+    from_behind: Annotated[float, "share of those directions whose surface turns its unseen side to the object"]
     expected_error: Annotated[float | None, "SHC RMSE after the path; None where the estimator expects none"]
     look: Annotated[LookAway | None, "None where no look would add much"]
     gain: Annotated[float, "share of the likely light that the best look would show newly"]
@@ -69,6 +73,13 @@ class ObjectAdvice:
     @property
     def sentence(self) -> str:
         """Such as "look up left for 1 second at frame 12: ..."."""
+        if self.from_behind < MOST_FROM_BEHIND:
+            return self._advised
+        share = f"{format_percent(self.from_behind)} of the surfaces that were seen around it turn their back to it"
+        return f"{self._advised}. Check its place, which seems to be inside or behind something: {share}"
+
+    @property
+    def _advised(self) -> str:
         if self.look is None:
             instead = ". Lead the path around or closer, or choose another place" if self.coverage < 0.5 else ""
             seen = f"it shows {format_percent(self.coverage)} of all directions"

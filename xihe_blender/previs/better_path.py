@@ -38,7 +38,7 @@ from xihenet.buffers import merge
 from xihenet.camera import unproject_frame
 from xihenet.camera_path.better_path import Advice, KnownRoom, Unseen, choose_look, guess_unseen
 from xihenet.camera_path.looks import Look, LookSettings, looks_of, random_looks
-from xihenet.completeness import coverage
+from xihenet.completeness import coverage, share_from_behind
 from xihenet.estimators import Estimator
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.metrics import shc_rmse
@@ -210,6 +210,7 @@ def _advice(
         name=name,
         positions_m=tuple(as_rgb(place) for place in target.positions_m),
         coverage=float(np.mean([coverage(cloud) for cloud in before])),
+        from_behind=float(np.mean([share_from_behind(cloud) for cloud in before])),
         expected_error=_expected_error(estimator, before),
         look=look_away(best.look, settings) if best.is_worth_it else None,
         gain=best.gain,
