@@ -84,7 +84,7 @@ def test_the_sentence_says_what_a_look_takes_and_rounds_no_gain_up():
     without = replace(ball, look=None)
     assert without.sentence == "no look away from this path would add much: it shows 94 % of all directions"
     inside = replace(without, from_behind=0.56).sentence
-    assert "place, which seems to be inside or behind something: 56 % of the surfaces" in inside
+    assert "Check the places: 56 % of the surfaces" in inside and "camera or object seems to be inside" in inside
     assert replace(without, coverage=0.011).sentence.endswith("Lead the path around or closer, or choose another place")
 
 

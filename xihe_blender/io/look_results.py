@@ -75,8 +75,8 @@ class ObjectAdvice:
         """Such as "look up left for 1 second at frame 12: ..."."""
         if self.from_behind < MOST_FROM_BEHIND:
             return self._advised
-        share = f"{format_percent(self.from_behind)} of the surfaces that were seen around it turn their back to it"
-        return f"{self._advised}. Check its place, which seems to be inside or behind something: {share}"
+        share = f"{format_percent(self.from_behind)} of the surfaces seen around the object turn their back to it"
+        return f"{self._advised}. Check the places: {share}, so camera or object seems to be inside or behind something"
 
     @property
     def _advised(self) -> str:
