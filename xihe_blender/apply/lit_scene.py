@@ -395,7 +395,8 @@ def remove_lit_scene() -> None:
     if lit is None:  # It may have been deleted in Blender's own menu, which leaves what it showed without a user.
         remove_lit_collections()
         left = [item for item in bpy.data.objects if item.library is None and not item.users]
-        bpy.data.batch_remove(_room_copies(left) | _with_parts([item for item in left if IS_PHONE in item]))
+        phones = [item for item in left if IS_PHONE in item]
+        bpy.data.batch_remove(_room_copies(left) | _with_parts(phones) | _unused_trees())
         remove_shadow_catchers([item for item in shadow_catchers() if not item.users])
         return
     keep_added()
@@ -411,13 +412,15 @@ def remove_lit_scene() -> None:
                 window.scene = room
     remove_shadow_catchers(shadow_catchers(lit))
     own = _room_copies(lit.objects) | _with_parts(_phones(lit))
-    tree = getattr(lit, "compositing_node_group", None)  # It may be one of the user's.
     remove_copied_scene(lit)
     remove_lit_collections()
-    if tree is not None and not tree.users:
-        own.add(tree)
     # At once: with its data an object goes too.
-    bpy.data.batch_remove(own)
+    bpy.data.batch_remove(own | _unused_trees())
+
+
+def _unused_trees() -> set[bpy.types.ID]:
+    """Those made by `_compositor_tree` that no scene has any more."""
+    return {tree for tree in bpy.data.node_groups if tree.name.startswith(LIT_SCENE) and not tree.users}
 
 
 def _with_parts(phones: Iterable[bpy.types.Object]) -> set[bpy.types.ID]:
