@@ -9,7 +9,7 @@ from previs_runs import SMALL, run, run_some_steps, walk, with_renders_of
 from scene_snapshot import data_blocks, differences, nothing_changes, snapshot
 from tiny_scenes import add_lamp, box, empty_scene, key, light_strength, phone
 
-from xihe_blender.addon.modal_job import RunUnderWay
+from xihe_blender.addon.modal_job import ModalJob, RunUnderWay
 from xihe_blender.addon.results_in_blender import remove_everything
 from xihe_blender.capture.render import RenderSettings, render_passes, working_scene
 from xihe_blender.jobs import Progress, run_blocking
@@ -223,6 +223,22 @@ def test_a_job_ends_with_the_add_on_and_is_not_under_way_when_that_comes_back():
         assert bpy.context.window_manager.xihe.is_running
     with registered_addon():
         assert run.is_over and not bpy.context.window_manager.xihe.is_running
+
+
+def test_a_job_ends_where_ctrl_c_meets_a_script_that_waits_for_it(monkeypatch):
+    def interrupted(_seconds):
+        raise KeyboardInterrupt
+
+    def job():
+        yield Progress(0, 1, "rendering")
+
+    waiting = ModalJob()
+    waiting.start_job = lambda _context: job()
+    monkeypatch.setattr("time.sleep", interrupted)
+    with registered_addon():
+        with pytest.raises(KeyboardInterrupt):
+            waiting.execute(bpy.context)
+        assert not bpy.context.window_manager.xihe.is_running
 
 
 def test_a_view_in_local_view_keeps_its_camera_and_a_job_under_way_does_not_redraw_it_for_that():

@@ -233,8 +233,11 @@ class ModalJob:
         self.scene = context.scene
         try:
             self.run = RunUnderWay(context, self.start_job(context))
-            while not self.run.step():
-                time.sleep(0.0 if self.works_here else TICK_S)
+            try:
+                while not self.run.step():
+                    time.sleep(0.0 if self.works_here else TICK_S)
+            finally:  # Ctrl-C may come while it waits.
+                self.run.end()
             return self.finish(context, self.run.result)
         except FAILURES as error:
             return failed(self, context, error)
