@@ -26,6 +26,7 @@ from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.lit_scene import (
     CapturedFrames,
     bring_lamps,
+    has_its_frames,
     hide_behind_room,
     keep_added,
     put_over_frames,
@@ -454,6 +455,8 @@ def test_each_frame_has_what_the_phone_saw_last(ran, shown):
     assert phone.show_background_images and behind.image.source == "SEQUENCE"
     assert (behind.image_user.frame_start, behind.image_user.frame_duration) == (1, N_FRAMES)
     assert behind.image.filepath.replace("\\", "/") == "//lit/frame_0001.png", "the file and its runs may be moved"
+    behind.image.filepath = "//lit\\frame_0001.png"
+    assert has_its_frames(lit_scene()), "also where Blender on Windows has saved the file"
     files = sorted((ran.out / "lit").iterdir())
     assert [file.name for file in files] == [f"frame_{i:04d}.png" for i in range(1, N_FRAMES + 1)]
     captured = [RunOutputs(ran.out).picture("captured", frame) for frame in range(1, N_FRAMES + 1)]

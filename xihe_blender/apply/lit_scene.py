@@ -34,6 +34,7 @@ from xihe_blender.apply.datablocks import (
 from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.io.outputs import link_or_copy
+from xihe_blender.scene.blend_file import absolute
 from xihe_blender.scene.colour_management import show_as_it_is
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN
@@ -457,7 +458,7 @@ def show_room_anew(lit: bpy.types.Scene, room: bpy.types.Scene, objects: Sequenc
 def has_its_frames(lit: bpy.types.Scene) -> bool:
     """Whether no picture behind its cameras is gone: they may be of another session, or have been moved."""
     behind = [one.image for camera in _phones(lit) for one in camera.data.background_images]
-    return all(Path(bpy.path.abspath(image.filepath)).is_file() for image in behind if image is not None)
+    return all(Path(absolute(image.filepath)).is_file() for image in behind if image is not None)
 
 
 def is_over_frames(lit: bpy.types.Scene) -> bool:
