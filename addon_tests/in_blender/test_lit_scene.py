@@ -701,6 +701,8 @@ def test_another_unit_scale_than_in_the_run_is_said_and_no_object_counts_as_move
         with pytest.raises(UserError, match=r"Unit Scale of 1: set it back in the scene's Units, or run again"):
             show_lit(scene, ran.out)
         assert misplaced(scene, bpy.context.evaluated_depsgraph_get()) == {}
+        with pytest.raises(RuntimeError, match="Unit Scale of 1: set it back"):
+            bpy.ops.xihe.update_light()
 
 
 def test_a_view_is_put_back_as_it_was_and_as_far_as_an_earlier_version_noted_it():

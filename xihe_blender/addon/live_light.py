@@ -111,6 +111,8 @@ class XIHE_OT_update_light(Action, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         scene = room_of(context.scene)
         folder, places = last_run_folder(scene), misplaced(scene, context.evaluated_depsgraph_get())
+        if said := other_unit(scene, last_run(scene.xihe.run_folder)):
+            raise UserError(said)
         if not places:
             return "Every object is where its light was estimated"
         show_found(scene, folder, places, _kept.find_light(folder, places))
