@@ -14,7 +14,7 @@ from previs_runs import DRAFT, N_FRAMES, PlainPrevis, run, walk
 from renders import pixels_of_file, rendered_picture
 from scene_snapshot import data_blocks, differences, nothing_changes, snapshot
 from shown_lights import keyed, shown_light
-from tiny_scenes import box, material, opened, room_with_a_virtual_sphere, saved, sphere
+from tiny_scenes import box, empty_scene, material, opened, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon import leftovers, light_operators
 from xihe_blender.addon.live_light import misplaced
@@ -666,6 +666,18 @@ def test_nothing_is_left_where_the_user_has_deleted_the_scene_or_its_materials(r
     assert not [
         item.name for item in bpy.data.user_map() if item.name.startswith("Xihe ") and item.name != "Xihe Virtual"
     ]
+
+
+def test_removing_the_light_where_no_other_scene_is_left_asks_for_one():
+    room, lit = empty_scene(), bpy.data.scenes.new(LIT_SCENE)
+    lit[ROOM] = room
+    bpy.data.scenes.remove(room)
+    with pytest.raises(UserError, match="add a scene"):
+        remove_everything()
+    assert lit_scene() == lit
+    bpy.data.scenes.new("Room")
+    remove_everything()
+    assert lit_scene() is None
 
 
 def test_pictures_that_are_gone_are_named(ran, tmp_path):

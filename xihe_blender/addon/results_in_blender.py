@@ -314,8 +314,10 @@ def go_to_trigger(scene: bpy.types.Scene, direction: str) -> int | None:
 def remove_everything() -> None:
     """Take away all that runs left: worlds, node group, markers, images, lit scene, placement map, camera.
 
-    Of all scenes: without their worlds their markers would say what is not so.
+    Of all scenes: without their worlds their markers would say what is not so. UserError where no other scene is left.
     """
+    if all(ROOM in scene for scene in bpy.data.scenes if scene.library is None):
+        raise UserError("Blender cannot delete Xihe Lit, the last scene: add a scene, and remove the light then")
     while lit_scene() is not None:  # The user may have copied it.
         remove_lit_scene()
     remove_lit_scene()  # What is left of one that the user has deleted.
