@@ -172,14 +172,16 @@ def test_an_empty_scene_has_a_plan_with_everything_off():
     assert dict(cycles_settings(plan))["max_bounces"] == 0
 
 
-def test_no_ray_of_a_walk_leaves_a_closed_room_through_a_corner(monkeypatch):
+def test_no_ray_of_a_walk_through_glass_leaves_a_closed_room_through_a_corner(monkeypatch):
     made, unspied = [], transport_survey.Solids
     monkeypatch.setattr(transport_survey, "Solids", lambda *given: made.append(unspied(*given)) or made[-1])
     scene = bright_room(0.95)
     box(scene, "Around it", (0, 0, 1.5), (20, 20, 20))
+    box(scene, "Show case", (0, 0, 1), (0.4, 0.4, 0.4), glass())
     required_effects(scene, frames=[1])
     for seed in range(30):
-        _, reached = carried(made[0], rays_all_round([(0, 0, 1)]), np.random.default_rng(seed))
+        weights, reached = carried(made[0], rays_all_round([(0, 0, 1)]), np.random.default_rng(seed))
+        assert weights[0] == 1
         assert all(max(abs(place.x), abs(place.y), abs(place.z - 1.5) + 0.5) <= 2 for place, _ in reached)
 
 
