@@ -55,7 +55,7 @@ def pytest_sessionfinish(session, exitstatus):
 def pytest_unconfigure(config):
     """The wheel of Blender 4.5 waits for a thread of its own for ever where anything still refers to it at the end."""
     bpy, is_worker = sys.modules.get("bpy"), hasattr(config, "workerinput")
-    if bpy is not None and bpy.app.module and EXIT_STATUS in config.stash and not is_worker:
+    if getattr(bpy and bpy.app, "module", False) and EXIT_STATUS in config.stash and not is_worker:
         config.get_terminal_writer().flush()
         sys.stderr.flush()
         os._exit(config.stash[EXIT_STATUS])
