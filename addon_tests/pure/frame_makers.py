@@ -69,7 +69,7 @@ def colour_profile(primaries, gamma):
         return b"".join(struct.pack(">i", round(value * 65536)) for value in values)
 
     curve = b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256)) + bytes(2)
-    said = b"Wide\0"
+    said = b"not sRGB\0"
     tags = {b"desc": b"desc" + bytes(4) + struct.pack(">I", len(said)) + said + bytes(79)}
     tags[b"wtpt"] = b"XYZ " + bytes(4) + fixed(0.9642, 1, 0.8249)
     for name, column in zip((b"r", b"g", b"b"), primaries.T, strict=True):

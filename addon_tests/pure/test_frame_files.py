@@ -290,19 +290,28 @@ P3_TO_XYZ = np.array([[0.5151, 0.2920, 0.1571], [0.2412, 0.6922, 0.0666], [-0.00
 
 
 @pytest.mark.parametrize("times", [1, 3])
-@pytest.mark.parametrize("kind", ["png", "jpg", "tiff"])
-def test_colour_is_what_the_profile_of_an_image_says(tmp_path, camera, plane_depth, kind, times):
+@pytest.mark.parametrize(("kind", "mode"), [("png", "RGB"), ("png", "P"), ("jpg", "RGB"), ("tiff", "RGB")])
+def test_colour_is_what_the_profile_of_an_image_says(tmp_path, camera, plane_depth, kind, mode, times):
     stored = np.full((times * HEIGHT, times * WIDTH, 3), (180, 110, 90), np.uint8)
     path = tmp_path / f"colour.{kind}"
     options = {"quality": 100, "subsampling": 0} if kind == "jpg" else {}
-    Image.fromarray(stored).save(path, icc_profile=colour_profile(P3_TO_XYZ, 2.2), **options)
+    Image.fromarray(stored).convert(mode, palette=Image.Palette.ADAPTIVE).save(
+        path, icc_profile=colour_profile(P3_TO_XYZ, 2.2), **options
+    )
     found = read_frame(path, camera, plane_depth=plane_depth).srgb_u8
     wide = (stored[0, 0] / 255) ** 2.2
     expected = 255 * linear_to_srgb(np.linalg.solve(SRGB_TO_XYZ, P3_TO_XYZ @ wide))
     assert expected[0] - stored[0, 0, 0] > 5 and np.abs(found - expected).max() < 2
 
 
-@pytest.mark.parametrize("profile", [b"none", ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()])
+@pytest.mark.parametrize(
+    "profile",
+    [
+        b"none",
+        colour_profile(P3_TO_XYZ, 2.2).replace(b"RGB ", b"\xffGB "),
+        ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(),
+    ],
+)
 def test_a_profile_of_srgb_and_one_that_cannot_be_read_change_nothing(tmp_path, camera, plane_depth, profile):
     path = tmp_path / "colour.png"
     Image.fromarray(COLOUR).save(path, icc_profile=profile)

@@ -11,6 +11,7 @@ import contextlib
 import io
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ PIXELS_IN_STRIP, MOST_ROWS_IN_STRIP = 2**19, 128
 LINEAR_BY_BYTE = LINEAR_OF_CODE.astype(np.float32)
 NONE_IN_16_BITS = 65535
 ORIENTATION_TAG = 0x0112
+ROUNDING = 2  # Of codes, in which the profiles of sRGB that are in use differ
 
 
 def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[int, int]]:
@@ -106,15 +108,27 @@ def _to_srgb(image: Any) -> Callable[[Any], Any]:
     """What makes sRGB of the picture, or of a part of it: photos of iPhones, for one, are in Display P3."""
     from PIL import ImageCms
 
-    profile, to_srgb = image.info.get("icc_profile"), None
-    if profile and image.mode in ("RGB", "RGBA", "RGBX"):
-        with contextlib.suppress(ImportError, OSError, ImageCms.PyCMSError):
-            source = ImageCms.getOpenProfile(io.BytesIO(profile))
-            if "sRGB" not in ImageCms.getProfileDescription(source):
-                to_srgb = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), "RGB", "RGB")
-    if to_srgb is None:
-        return lambda part: part.convert("RGB")
-    return lambda part: ImageCms.applyTransform(part.convert("RGB"), to_srgb)
+    with contextlib.suppress(KeyError, ImportError, OSError, ValueError, ImageCms.PyCMSError):
+        mode, of_profile = _srgb_of(image.info["icc_profile"])
+        if of_profile and (image.mode != "CMYK" if mode == "RGB" else image.mode in ("L", "LA")):
+            return lambda part: ImageCms.applyTransform(part.convert(mode), of_profile)
+    return lambda part: part.convert("RGB")
+
+
+@lru_cache(maxsize=8)
+def _srgb_of(profile: bytes) -> tuple[str, Any]:
+    """The mode of the pictures that a profile is for, and what makes sRGB of them; None where that is what they are."""
+    from PIL import Image, ImageCms
+
+    source = ImageCms.getOpenProfile(io.BytesIO(profile))
+    mode = "L" if source.profile.xcolor_space == "GRAY" else "RGB"
+    made = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), mode, "RGB")
+    # Names do not tell: linear light has profiles whose name says sRGB.
+    steps = np.arange(0, 256, 17, dtype=np.uint8)
+    colours = Image.fromarray(np.stack(np.meshgrid(steps, steps, steps), -1).reshape(1, -1, 3)).convert(mode)
+    found, same = ImageCms.applyTransform(colours, made), colours.convert("RGB")
+    is_same = np.abs(np.asarray(found, np.int16) - np.asarray(same, np.int16)).max() <= ROUNDING
+    return mode, None if is_same else made
 
 
 def _strips(image: Any, changed: Callable[[Any], Any] = lambda strip: strip) -> Iterator[NDArray[Any]]:
