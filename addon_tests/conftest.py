@@ -28,7 +28,7 @@ def pytest_addoption(parser):
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config):
     """One process more than cores: a tenth of the time of two cores is waits, for servers, time-outs and processes."""
-    return n_cores() + 1
+    return None if os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") else n_cores() + 1
 
 
 @pytest.hookimpl(wrapper=True)
