@@ -31,14 +31,18 @@ def _azimuth(column: ArrayF64, width: int) -> ArrayF64:
     return 1.5 * np.pi - 2 * np.pi * column / width
 
 
+def _angles(height: int, width: int) -> tuple[ArrayF64, ArrayF64]:
+    """Polar angles (H,) and azimuths (W,) of the texel centres, radians. ValueError without a texel."""
+    _check_size(height, width)
+    return np.pi * (np.arange(height) + 0.5) / height, _azimuth(np.arange(width) + 0.5, width)
+
+
 def panorama_directions(height: int, width: int) -> ArrayF64:
     """Unit directions in world axes of the texel centres, (H, W, 3) float64; one texel alone looks along +Y.
 
     ValueError without a texel.
     """
-    _check_size(height, width)
-    polar = np.pi * (np.arange(height) + 0.5) / height
-    azimuth = _azimuth(np.arange(width) + 0.5, width)
+    polar, azimuth = _angles(height, width)
     directions = np.empty((height, width, 3))
     directions[..., 0] = np.sin(polar)[:, None] * np.cos(azimuth)
     directions[..., 1] = np.sin(polar)[:, None] * np.sin(azimuth)
@@ -124,9 +128,7 @@ def evaluate_panorama(sh_radiance: ArrayLike, height: int, width: int) -> ArrayF
     (H, W, 3) float64, linear, not clipped: a finite series rings, so values may be negative. ValueError without texels.
     """
     coefficients, order = checked_sh(sh_radiance)
-    _check_size(height, width)
-    polar = np.pi * (np.arange(height) + 0.5) / height
-    azimuth = _azimuth(np.arange(width) + 0.5, width)
+    polar, azimuth = _angles(height, width)
     band = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
     m = np.arange(len(band)) - band * (band + 1)
     # Each basis function is a factor of the row times one of the column: a tenth of the time of `basis` for all texels.
