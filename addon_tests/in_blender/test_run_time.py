@@ -54,6 +54,12 @@ def test_it_can_be_stopped_after_each_frame_of_the_survey_each_capture_and_each_
 
 
 @pytest.mark.slow
+def test_a_run_of_the_true_light_has_a_time_too():
+    time = run_blocking(run_time_job(walk(), replace(SMALL, frames=(1,), estimator="truth")))
+    assert time.total_s > 0 and "chain" not in time.budget_renders
+
+
+@pytest.mark.slow
 def test_a_run_that_never_sees_its_object_has_a_time_too():
     scene = walk()
     for item in virtual_collection(scene).all_objects:

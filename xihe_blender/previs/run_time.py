@@ -131,13 +131,12 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
     n_probes = sum(source == frame for (frame, _), source in run.reuse.probes.items())
     n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
     renders = {"capture": (n_captures, capture), "probe": (n_probes, probe), "comparison": (n_comparisons, comparison)}
+    budget_renders = _budget_renders(run, n_captures, capture, ball)
+    if "truth_sh" not in run.estimator.needs:  # Of the true light there is no error budget.
+        budget_renders["chain"] = _budget_chain(run, captured)
     budget_loaded_s = N_SEEDS * (2 * capture_loaded_s + probe_loaded_s)
-    return RunTime(
-        prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s,
-        renders,
-        prepared_s + budget_loaded_s,
-        _budget_renders(run, n_captures, capture, ball) | {"chain": _budget_chain(run, captured)},
-    )
+    prepare_s = prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s
+    return RunTime(prepare_s, renders, prepared_s + budget_loaded_s, budget_renders)
 
 
 def _budget_renders(
