@@ -5,6 +5,7 @@ import itertools
 from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from previs_runs import SMALL, counted_renders, walk
 from scene_snapshot import nothing_changes
@@ -22,6 +23,7 @@ from xihe_blender.previs.run_time import (
     run_time_job,
 )
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.estimators.projection import Projection
 
 
 @pytest.mark.slow
@@ -57,6 +59,15 @@ def test_it_can_be_stopped_after_each_frame_of_the_survey_each_capture_and_each_
 def test_a_run_of_the_true_light_has_a_time_too():
     time = run_blocking(run_time_job(walk(), replace(SMALL, frames=(1,), estimator="truth")))
     assert time.total_s > 0 and "chain" not in time.budget_renders
+
+
+@pytest.mark.slow
+def test_the_chain_of_an_error_budget_is_timed_where_something_is_estimated(monkeypatch):
+    scene, estimated = walk(), []
+    virtual_collection(scene).all_objects[0].location.z = -50
+    monkeypatch.setattr(Projection, "_estimate", lambda *_: estimated.append(1) or np.zeros((9, 3)))
+    run_blocking(run_time_job(scene, replace(SMALL, frames=(1,), estimator="projection")))
+    assert estimated
 
 
 @pytest.mark.slow
