@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import shutil
+import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +38,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.compare_path import OBJECTS, kept_comparison
 from xihe_blender.previs.kept_session import OF_CHAIN, open_kept_session
 from xihe_blender.previs.prepare import positive_exposure
+from xihe_blender.previs.previs import previs
 from xihe_blender.previs.results import AS_SET
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
@@ -333,6 +335,16 @@ def test_a_file_of_the_users_is_not_written_over(tmp_path, name):
         run(walk(), tmp_path)
     assert files_below(tmp_path).keys() == {name}
     assert (tmp_path / name).read_text() == "mine"
+
+
+@pytest.mark.slow
+def test_what_a_window_waits_between_two_pictures_of_the_light_is_no_work_of_a_frame(monkeypatch, tmp_path):
+    waited, clock = [], time.perf_counter
+    monkeypatch.setattr(time, "perf_counter", lambda: clock() + 1000 * len(waited))
+    settings = replace(SMALL, frames=(1,), estimator="ambient")
+    job = previs(room_with_a_virtual_sphere(1), tmp_path, settings)
+    results = run_blocking(job, lambda *_: waited.append(1))
+    assert results["frames"][0]["work_s"] < 1000 < 1000 * len(waited)
 
 
 def test_a_path_that_never_sees_a_position_gives_results_and_a_report(tmp_path):

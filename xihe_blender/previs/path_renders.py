@@ -24,7 +24,7 @@ from xihe_blender.io.json_records import as_json, read_record
 from xihe_blender.io.kept_files import kept_json, kept_record, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, finite_or_none, write_json, write_picture
 from xihe_blender.io.run_results import CaptureRender, ProbeRender, Rendering
-from xihe_blender.jobs import Job, Steps, shown
+from xihe_blender.jobs import Job, Steps, shown, timed
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.simulated_phone import CaptureNeeds
@@ -210,9 +210,9 @@ def _measure_missing(run: PreparedRun, work_s: dict[int, float]) -> Job[None]:
             doing = f"measuring the light at {probe.name} in frame {frame}"
             progress = run.progress("reference light", done_share, doing)
             yield progress
-            start, steps = time.perf_counter(), _measure(run, frame, probe, reference_probe)
-            rendered_s = yield from shown(steps, progress)
-            work_s[frame] = work_s.get(frame, 0.0) + time.perf_counter() - start - rendered_s
+            measuring = shown(_measure(run, frame, probe, reference_probe), progress)
+            rendered_s, worked_s = yield from timed(measuring)
+            work_s[frame] = work_s.get(frame, 0.0) + worked_s - rendered_s
 
 
 def _done_shares(are_rendered: Sequence[bool]) -> Iterator[float]:
