@@ -9,6 +9,7 @@ import pytest
 import tiny_scenes
 from effect_scenes import fog, shader_look, shader_node
 from mathutils import Vector
+from previs_runs import counted_renders
 from scene_snapshot import snapshot
 from tiny_scenes import add, box, empty_scene, material, room_with_a_virtual_sphere, set_world, sphere
 
@@ -193,6 +194,12 @@ def test_irradiance_is_that_of_a_white_patch():
     found = irradiance(light, normals)
     assert np.abs(found - patched).max() < 0.1 * patched.max()
     assert np.abs(found.mean(axis=0) / patched.mean(axis=0) - 1).max() < 0.02
+
+
+def test_a_light_can_be_left_before_each_of_its_pictures():
+    with open_reference_probe(dark_scene(), [POSITION], ProbeSettings(16, 2)) as probe, counted_renders() as renders:
+        n_done = [len(renders) for _ in probe.light_by_steps(0, 1)]
+    assert n_done == list(range(len(renders))) and len(renders) >= 4
 
 
 def test_filter_glossy_blurs_what_the_probe_meets_as_for_a_matte_surface():

@@ -222,6 +222,7 @@ class ReferenceProbe:
         )
         smooth = None
         if self.is_denoised:
+            yield
             # The same once more, with half as many rays in each pixel as all pictures have: it says what is white.
             rendered = self.view(index, -1, samples=max(2, len(views) // 2), is_denoised=True)
             smooth = _exposed_view(rendered, gain)
