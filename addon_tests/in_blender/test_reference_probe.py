@@ -9,11 +9,12 @@ import pytest
 import tiny_scenes
 from effect_scenes import fog, shader_look, shader_node
 from mathutils import Vector
-from previs_runs import counted_renders
+from previs_runs import counted_renders, handler_in
 from scene_snapshot import snapshot
 from tiny_scenes import add, box, empty_scene, material, room_with_a_virtual_sphere, set_world, sphere
 
 from xihe_blender.capture.reference_probe import (
+    MORE_BLUR,
     MeasuredLight,
     ProbeSettings,
     cone_factors,
@@ -212,6 +213,18 @@ def test_filter_glossy_blurs_what_the_probe_meets_as_for_a_matte_surface():
     mean = measured(scene).hdr[0, 0] / np.sqrt(4 * np.pi)
     up, down, beside = (_baked(scene, POSITION, normal)[0] / np.pi for normal in (UP, DOWN, np.array([1.0, 0, 0])))
     assert down < 0.98 and mean == pytest.approx((up + down + 4 * beside) / 6, abs=0.015)
+
+
+def test_what_camera_rays_see_has_the_scenes_own_filter_glossy():
+    scene, blurs = dark_scene(), []
+    scene.cycles.blur_glossy = 0.5
+    with (
+        handler_in(bpy.app.handlers.render_init, lambda working, *_: blurs.append(working.cycles.blur_glossy)),
+        open_reference_probe(scene, [POSITION], ProbeSettings(16, 2, denoise=False)) as probe,
+    ):
+        for _ in range(2):
+            probe.light_at(0, 1)
+    assert blurs == pytest.approx(2 * [0.5, 0.5, MORE_BLUR / 2, MORE_BLUR / 2]) and scene.cycles.blur_glossy == 0.5
 
 
 def _baked(scene, place, normal):
