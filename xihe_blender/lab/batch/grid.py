@@ -25,7 +25,7 @@ from xihenet.trigger import Rule
 if TYPE_CHECKING:
     from xihe_blender.previs.settings import PrevisSettings
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 DEFAULT_ESTIMATORS = ("lattice", "projection", "ambient", "truth")
 NAMES = "names, at least one of each, none twice; every phone runs with every estimator"
 AS_IN_A_RUN = "as in PrevisSettings"
