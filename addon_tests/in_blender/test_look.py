@@ -175,6 +175,7 @@ def test_remove_light_takes_the_better_camera_away(scene, away):
         add_better_camera(scene, away)
         add_better_camera(scene, away)
         assert better_path_camera().name == BETTER_PATH and has_anything(scene)
+        scene.camera = better_path_camera()
         remove_better_camera()
     assert better_path_camera() is None and not has_anything(scene)
 
