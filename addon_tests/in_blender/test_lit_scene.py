@@ -578,7 +578,7 @@ def added_lamp(lit):
 
 def test_what_is_changed_in_it_stays_and_what_moves_in_the_room_hides_objects_where_it_is_now(ran, shown):
     room, lamp = bpy.data.scenes["Scene"], added_lamp(shown)
-    shown.cycles.samples = 77
+    shown.cycles.samples, shown.camera.name = 77, "Mine"
     shown.node_tree.nodes.new("CompositorNodeBlur") if hasattr(shown, "node_tree") else None
     table, n_objects, n_nodes = bpy.data.objects["Table"], len(shown.objects), len(nodes_of(shown))
     table.location.x += 0.5
