@@ -112,7 +112,7 @@ def test_names_that_are_typed_need_quotes_only_for_commas_and_spaces_at_their_en
 
 
 def test_files_may_be_given_as_a_pattern_where_the_shell_leaves_it_as_it_is(tmp_path):
-    made = [tmp_path / name for name in ("hall.blend", "room.blend", "[old].blend")]
+    made = [tmp_path / name for name in ("hall.blend", "room.blend", "[h]all.blend")]
     for path in made:
         path.touch()
     none = tmp_path / "*.usd"
