@@ -305,6 +305,13 @@ def test_the_panel_is_at_first_a_run_without_options_and_every_setting_reaches_t
     scene, user = walk(), enable_preferences()
     user.phone, user.phone_file = "FILE", str(tmp_path / "mine.toml")
     assert previs_settings(scene).phone == str(tmp_path / "mine.toml")
+    # And a path may begin in the folder of the .blend, as Linux or as Windows writes it.
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    (tmp_path / "phones").mkdir()
+    (tmp_path / "mine.toml").rename(tmp_path / "phones" / "mine.toml")
+    for written in ("//phones/mine.toml", "//phones\\mine.toml"):
+        scene.xihe.phone, scene.xihe.phone_file = "FILE", written
+        assert previs_settings(scene).phone == str(tmp_path / "phones" / "mine.toml")
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,9 @@ from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, placemen
 from xihe_blender.errors import UserError
 
 LAST_FRAME = 1048574
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set[str]()
+"""Of a path that may begin with `//`, the folder of the .blend; before 4.5 every path may."""
+
 OUR_WORDS = "Xihe"
 """Context of words that Blender translates for something else: Lattice is an object there, and Key a keyframe."""
 
@@ -178,7 +181,7 @@ class XiheSceneSettings(bpy.types.PropertyGroup):
         set=_choose_phone,
     )
     phone_file: bpy.props.StringProperty(
-        name="Phone File", description="TOML file that describes the phone", subtype="FILE_PATH"
+        name="Phone File", description="TOML file that describes the phone", subtype="FILE_PATH", options=RELATIVE
     )
     network: bpy.props.EnumProperty(
         name="Network",
