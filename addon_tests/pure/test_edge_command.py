@@ -40,9 +40,10 @@ def test_it_serves_until_it_is_told_to_stop_and_logs_json(how):
 
 
 AS_ON_WINDOWS = """
-import asyncio, sys
+import asyncio, signal, sys
 
-def refuse(*_):
+def refuse(loop, *_):
+    signal.set_wakeup_fd(loop._csock.fileno())  # As loops of Windows do, or a signal just before they wait is not seen.
     raise NotImplementedError
 
 asyncio.SelectorEventLoop.add_signal_handler = refuse
