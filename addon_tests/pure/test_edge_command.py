@@ -47,6 +47,7 @@ def refuse(loop, *_):
     raise NotImplementedError
 
 asyncio.SelectorEventLoop.add_signal_handler = refuse
+signal.signal(signal.SIGINT, signal.default_int_handler)  # Shells ignore it in the background.
 from xihe_blender.cli.main import main
 sys.exit(main())
 """
