@@ -78,8 +78,7 @@ def test_the_sentence_says_what_a_look_takes_and_rounds_no_gain_up():
     ball = ObjectAdvice(name="Ball", look=look, expected_error=0.0260, predicted_error=0.0249, **of_ball)
     assert ball.sentence == (
         "look left for 1 second at frame 31, 2.6 s with the turns. The share of directions that are seen rises from "
-        "94 % to 97 %, and the expected error falls from 0.026 to 0.025 if they look "
-        "as guessed"
+        "94 % to 97 %, and the expected error falls from 0.026 to 0.025 if they show what is guessed"
     )
     without = replace(ball, look=None)
     assert without.sentence == "no look away from this path would add much: it shows 94 % of all directions"

@@ -94,7 +94,7 @@ class ObjectAdvice:
         if self.expected_error is not None and self.predicted_error is not None:
             now, then = f"{self.expected_error:.3f}", f"{self.predicted_error:.3f}"
             if self.predicted_error < self.expected_error and now != then:
-                return said + f", and the expected error falls from {now} to {then} if they look as guessed"
+                return said + f", and the expected error falls from {now} to {then} if they show what is guessed"
             said += f", but the estimator expects no smaller error than {now}"
         return said
 
