@@ -45,7 +45,7 @@ class StoredRoom:
     balls: ArrayF16  # (P, n, n, 3) float16, scene radiance around each position that camera rays see, as mirror balls
     sh_ldr: ArrayF64  # (P, 9, 3) float64, the reference light at each position, clipped at white; carries the exposure
     sh_hdr: ArrayF64  # (P, 9, 3) float64, all of it, also of lamps hidden from cameras; carries the exposure
-    sh_noise: ArrayF64  # (P, 2) float64, expected relative error of the two; 0 where it is not known
+    sh_noise: ArrayF64  # (P, 2) float64, relative noise of the two, which is not all of their error; 0 if not known
     is_in_view: ArrayBool  # (V, P) bool, the position projects into the picture: the pair counts
     is_unhidden: ArrayBool  # (V, P) bool, nothing stands between the phone and the position
     seed: NDArray[np.int64]  # (2,) int64, of the data set and the room's number; of a scene see SCENE_SEED
