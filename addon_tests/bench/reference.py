@@ -1,14 +1,15 @@
 """The reference light: how far is it off, held against renders that know nothing of how it is measured?
 
-    python addon_tests/bench/reference.py SCENE.blend... [--presets draft] [--places 2] [--frames 1] [--seeds N]
+    python addon_tests/bench/reference.py SCENE.blend... [--presets draft] [--targets hdr] [--places 2] [--frames 1]
+        [--seeds N]
 
 `hdr` against a fit of bands 0, 1, 2, 4, 6 and 8 to irradiance that Blender bakes onto 200 small white triangles around
-the position; `ldr` against two cubes of 10,000 directions, each path-traced alone with 512 samples and clipped then. A
-grey sphere's brightness under `hdr` is its mean irradiance over the baked one. Positions are those of the virtual
-objects, or of empties named `placement_*`. A yardstick's own noise is half the difference of two bakes or cubes.
+the position; `ldr` against two cubes of 10,000 directions, each path-traced alone with 512 samples and clipped then.
+Positions are those of the virtual objects, or of empties named `placement_*`. A yardstick's own noise is half the
+difference of two bakes or cubes; "mean light" is the signed error of L00.
 
 At the end, for each preset: how many probes are off by at most what they tell, and by at most twice that, where the
-yardstick's noise is added to what is told as a square; and the mean signed error of L00 in percent.
+yardstick's noise is added to what is told as a square.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.state import show_to_camera_alone
 from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
-from xihenet.sh import basis, cosine_lobe, irradiance
+from xihenet.sh import basis, cosine_lobe
 from xihenet.sphere import AnchorLattice
 
 NORMALS = AnchorLattice(200).directions
@@ -135,7 +136,7 @@ def apart(light, reference):
 
 
 def measure(path, options):
-    """Print a line for each preset, place, frame and seed of a scene, and return what was found."""
+    """Print a line for each preset, target, place, frame and seed of a scene, and return what was found."""
     open_blend(path)
     scene = bpy.context.scene
     places = positions_of(scene)[: options.places]
@@ -144,84 +145,70 @@ def measure(path, options):
     found = []
     for frame in chosen:
         for number, place in enumerate(places):
-            measured = [_of_preset(scene, name, place, frame, exposure, options.seeds) for name in options.presets]
-            cubes = [clipped_light(scene, place, frame, exposure, turn) for turn in CUBE_TURNS]
-            scene.frame_set(frame)
-            bakes = [baked_irradiance(scene, place, seed) * exposure for seed in (5, 6)]
+            measured = [_of_preset(scene, name, place, frame, exposure, options) for name in options.presets]
+            truths = {}
+            if "ldr" in options.targets:
+                truths["ldr"] = [clipped_light(scene, place, frame, exposure, turn) for turn in CUBE_TURNS]
+            if "hdr" in options.targets:
+                scene.frame_set(frame)
+                truths["hdr"] = [fitted(baked_irradiance(scene, place, seed) * exposure) for seed in (5, 6)]
             open_blend(path)
             scene = bpy.context.scene
             for name, lights, seconds in measured:
-                for light in lights:
-                    found.append(compared(name, light, cubes, bakes))
-                    told = f"{found[-1]}; pictures {light.ldr_samples} + {light.hdr_samples}, {seconds:.1f} s"
+                for light, target in ((light, target) for light in lights for target in truths):
+                    found.append(compared(name, target, light, *truths[target]))
+                    told = f"{found[-1]}; pictures {light.samples(target)}, {seconds:.1f} s for all"
                     print(f"{path.stem} frame {frame} place {number} {told}", flush=True)
     return found
 
 
-def compared(preset, light, cubes, bakes):
-    """One probe's light against the two cubes and bakes at its place."""
-    fits = [fitted(baked) for baked in bakes]
-    hdr, ldr = np.mean(fits, axis=0), np.mean(cubes, axis=0)
-    return Found(
-        preset,
-        apart(light.hdr, hdr), light.expected_error("hdr") or 0, apart(*fits) / 2,
-        irradiance(light.hdr, NORMALS).mean() / np.mean(bakes),
-        apart(light.ldr, ldr), light.expected_error("ldr") or 0, apart(*cubes) / 2,
-        light.ldr[0].sum() / ldr[0].sum() - 1,
-    )  # fmt: skip
+def compared(preset, target, light, *truths):
+    """One probe's light against two cubes or bakes at its place."""
+    truth, ours = np.mean(truths, axis=0), light.of(target)
+    mean = ours[0].sum() / truth[0].sum() - 1
+    return Found(preset, target, apart(ours, truth), light.expected_error(target) or 0, apart(*truths) / 2, mean)
 
 
 class Found(NamedTuple):
-    """How far one probe is off, what it tells of itself, and the yardstick's own noise: relative norms."""
+    """How far one probe is off, what it tells of itself, the yardstick's own noise, and the signed error of L00."""
 
     preset: str
-    hdr: float
-    hdr_told: float
-    hdr_yardstick: float
-    grey_sphere: float
-    ldr: float
-    ldr_told: float
-    ldr_yardstick: float
-    ldr_l00: float
+    target: str
+    off: float
+    told: float
+    yardstick: float
+    mean: float
 
     def __str__(self):
-        return (
-            f"{self.preset}: hdr {self.hdr:.3f} (told {self.hdr_told:.3f}, yardstick {self.hdr_yardstick:.3f}), "
-            f"grey sphere {self.grey_sphere:.3f}; ldr {self.ldr:.3f} (told {self.ldr_told:.3f}, yardstick "
-            f"{self.ldr_yardstick:.3f}), L00 {self.ldr_l00:+.3f}"
-        )
-
-    def times_told(self, target):
-        """How many times what it tells it is off."""
-        off, told, own = (getattr(self, target + part) for part in ("", "_told", "_yardstick"))
-        return off / max(math.hypot(told, own), 1e-9)
+        told = f"(told {self.told:.3f}, yardstick {self.yardstick:.3f}), mean light {self.mean:+.3f}"
+        return f"{self.preset} {self.target}: {self.off:.3f} {told}"
 
 
 def summary(found):
     """A line for each preset and target."""
-    for preset in dict.fromkeys(one.preset for one in found):
-        of_preset = [one for one in found if one.preset == preset]
-        for target in ("ldr", "hdr"):
-            times = np.array([one.times_told(target) for one in of_preset])
-            off = np.array([getattr(one, target) for one in of_preset])
-            print(
-                f"{preset} {target}: {len(off)} probes, off by {np.median(off):.3f} (median), {off.max():.3f} (most); "
-                f"within what they tell {np.mean(times <= 1):.2f}, within twice that {np.mean(times <= 2):.2f}"
-            )
-        l00, spheres = (np.array([getattr(one, name) for one in of_preset]) for name in ("ldr_l00", "grey_sphere"))
-        print(f"{preset}: L00 of ldr {100 * l00.mean():+.2f} %, grey sphere {spheres.min():.3f} to {spheres.max():.3f}")
+    for preset, target in dict.fromkeys((one.preset, one.target) for one in found):
+        those = np.array([one[2:] for one in found if one[:2] == (preset, target)])
+        off, told, yardstick, mean = those.T
+        times = off / np.maximum(np.hypot(told, yardstick), 1e-9)
+        print(
+            f"{preset} {target}: {len(off)} probes, off by {np.median(off):.3f} (median), {off.max():.3f} (most); "
+            f"within what they tell {np.mean(times <= 1):.2f}, within twice that {np.mean(times <= 2):.2f}; "
+            f"mean light {mean.min():+.3f} to {mean.max():+.3f}, {mean.mean():+.4f} in the mean"
+        )
 
 
-def _of_preset(scene, name, place, frame, exposure, n_seeds):
+def _of_preset(scene, name, place, frame, exposure, options):
     lights, start = [], time.perf_counter()
-    for seed in range(n_seeds):
-        with open_reference_probe(scene, [place], replace(PrevisSettings(preset=name).reference, seed=seed)) as probe:
+    for seed in range(options.seeds):
+        settings = replace(PrevisSettings(preset=name).reference, seed=seed, aims_at_ldr="ldr" in options.targets)
+        with open_reference_probe(scene, [place], settings) as probe:
             lights.append(probe.light_at(0, frame, exposure).measured)
-    return name, lights, (time.perf_counter() - start) / n_seeds
+    return name, lights, (time.perf_counter() - start) / options.seeds
 
 
 def main():
-    options = given(__doc__, "scenes+", presets=(words, list(PRESETS)), places=4, frames=3, seeds=1)
+    options = given(__doc__, "scenes+", presets=(words, list(PRESETS)), targets=(words, ["ldr", "hdr"]),
+                    places=4, frames=3, seeds=1)  # fmt: skip
     summary([one for path in options.scenes for one in measure(path, options)])
 
 
