@@ -61,10 +61,9 @@ from xihe_blender.previs.budget_chain import (
 from xihe_blender.previs.budget_looks import FROM_PATH
 from xihe_blender.previs.budget_seeds import N_SEEDS, SeedErrors, over_seeds
 from xihe_blender.previs.error_budget import error_budget, lights_from_all_around
-from xihe_blender.previs.path_renders import render_captures
 from xihe_blender.previs.plan import Probe, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
-from xihe_blender.previs.run_chain import phone_of_captures
+from xihe_blender.previs.run_chain import phone_of_captures, render_captures
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.previs.survey import SceneSurvey

@@ -22,7 +22,6 @@ from given import given
 from xihe_blender.io.blender_output import only_our_output
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.path_renders import kept_renders
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import run_chain
@@ -32,6 +31,7 @@ from xihe_blender.scene.state import scene_kept
 from xihenet import estimators
 from xihenet.camera import unproject_frame
 from xihenet.estimators import EstimateContext
+from xihenet.io.recording import load_frame
 from xihenet.left_out import left_out_errors
 from xihenet.phone import profile_names
 from xihenet.records import RgbdFrame
@@ -54,8 +54,8 @@ def session(file: Path, phone: str, folder: Path) -> tuple[PreparedRun, list[Rgb
         survey = run_blocking(survey_run(scene, plan, outputs))
         run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
         phone_in_use = run_blocking(run_chain(run)).phone
-        renders = [kept_renders(run, frame) for frame in frames]
-        return run, [phone_in_use.see(one.captured, outputs)[0] for one in renders if one is not None]
+        captures = [load_frame(outputs.capture(frame)) for frame in sorted(run.needs.captured)]
+        return run, [phone_in_use.see(captured, outputs)[0] for captured in captures]
 
 
 def errors_of(run: PreparedRun, frames: list[RgbdFrame]) -> Errors:

@@ -18,9 +18,9 @@ from xihe_blender.io.json_records import as_json, read_record
 from xihe_blender.io.kept_files import kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.path_renders import is_captured
 from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
+from xihe_blender.previs.run_chain import is_captured
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.records import ArrayF32, ArrayF64, RgbdFrame
 from xihenet.satin_ball import SatinBall

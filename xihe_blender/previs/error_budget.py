@@ -63,10 +63,9 @@ from xihe_blender.previs.budget_looks import (
 )
 from xihe_blender.previs.budget_seeds import N_SEEDS, SeedErrors, over_seeds, with_seed
 from xihe_blender.previs.captured_path import path_facts
-from xihe_blender.previs.path_renders import render_captures
 from xihe_blender.previs.plan import Probe, check_is_rendered, made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
-from xihe_blender.previs.run_chain import phone_of_captures
+from xihe_blender.previs.run_chain import phone_of_captures, render_captures
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.budget import write_budget_report
 from xihe_blender.scene.state import scene_kept

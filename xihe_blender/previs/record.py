@@ -25,10 +25,9 @@ from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.light_transport.render_reuse import plan_render_reuse
 from xihe_blender.previs.captured_path import path_plan
 from xihe_blender.previs.kept_session import kept_facts
-from xihe_blender.previs.path_renders import render_captures
 from xihe_blender.previs.plan import PrevisPlan, Probe, made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
-from xihe_blender.previs.run_chain import phone_of_captures
+from xihe_blender.previs.run_chain import phone_of_captures, render_captures
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_objects

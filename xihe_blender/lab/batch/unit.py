@@ -48,11 +48,10 @@ from xihe_blender.lab.batch.results import (
 )
 from xihe_blender.previs.compare_path import compare_frames
 from xihe_blender.previs.files_read import files_named, files_read
-from xihe_blender.previs.path_renders import render_path
 from xihe_blender.previs.phone_errors import run_sessions
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, render_reuse, survey_run
-from xihe_blender.previs.run_chain import ChainResult, Lights, run_chain
+from xihe_blender.previs.run_chain import ChainResult, Lights, render_path, run_chain
 from xihe_blender.previs.settings import load_estimators
 from xihe_blender.report.values import mean
 from xihe_blender.scene.blend_file import open_blend
