@@ -1,8 +1,12 @@
-"""Comparisons along the path: which frames are compared with the ground truth, and what is left of each?
+"""Pictures along the path: which frames are compared with the ground truth, and what is left of each?
 
 Every n-th frame in which the chain ran, by the preset, and the last. A comparison is read where an earlier part of the
 run kept it, taken over from an earlier frame where scene, camera, capture and lights are the same, else rendered; see
 `compare.methods`. Comparisons are set up only when the first one has to be rendered.
+
+Of a phone's recording nothing can be compared: every frame shows the virtual objects in it, as a film. Their shadows
+fall on the scan of the recording, or on flat surfaces in it where the scene has none any more. Frames before there is
+any light show the recording alone.
 """
 
 from __future__ import annotations
@@ -15,8 +19,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from xihe_blender.apply.shadow_catchers import triangles_of
 from xihe_blender.compare import methods
-from xihe_blender.compare.methods import Comparer, Comparison
+from xihe_blender.compare.methods import Comparer, Comparison, OverRecording
+from xihe_blender.compare.side_by_side import save_film
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.json_records import as_json, read_record
 from xihe_blender.io.kept_files import kept_record, read_kept
@@ -27,10 +33,11 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.plan import compared_frames
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.run_chain import ChainResult, Lights
+from xihe_blender.scene.phone_capture import scan_of
 from xihenet.camera_path.placement import evenly_chosen
 from xihenet.camera_path.surfaces import Surface
 from xihenet.io.recording import load_frame
-from xihenet.records import ObjectLight
+from xihenet.records import ArrayF64, ArrayU8, ObjectLight
 
 OBJECTS = "objects"
 """Beside the radiance of each method: the share of each pixel that objects cover, by which metrics weigh."""
@@ -174,3 +181,42 @@ def _write_pictures(run: PreparedRun, frame: int, compared: Comparison) -> dict[
     for kind, picture in pictures.items():
         write_picture(run.outputs.picture(kind, frame), picture)
     return {kind: run.outputs.relative(run.outputs.picture(kind, frame)) for kind in ("captured", *pictures)}
+
+
+# ---------------------------------------------------------------------------------------------------- over a recording
+
+
+def composite_path(run: PreparedRun, chain: ChainResult) -> Job[dict[int, dict[str, str]]]:
+    """A job: the paths of the pictures by frame and method, as results name them; pictures and film are written."""
+    shown = [run.settings.estimator, *run.settings.others]
+    frames = [frame for frame in sorted(run.needs.captured) if frame in chain.lights]
+    pictures = {frame: {method: run.outputs.picture(method, frame) for method in shown} for frame in frames}
+    missing = [frame for frame in frames if not all(path.exists() for path in pictures[frame].values())]
+    yield from _render_missing(run, chain, shown, missing)
+    captured = {frame: run.outputs.picture("captured", frame) for frame in sorted(run.needs.captured)}
+    film = captured | {frame: of_frame[shown[0]] for frame, of_frame in pictures.items()}
+    if len(film) > 1:
+        yield run.progress("methods", 1, "writing the film")
+        render = run.scene.render
+        save_film(film, run.plan.size, render.fps / render.fps_base, run.outputs.composited)
+    named = run.outputs.relative
+    return {frame: {name: named(path) for name, path in of_frame.items()} for frame, of_frame in pictures.items()}
+
+
+def _render_missing(run: PreparedRun, chain: ChainResult, shown: list[str], missing: list[int]) -> Iterator[Progress]:
+    if not missing:
+        return
+    scan = scan_of(run.scene) if run.settings.has_key_light else None
+    over = OverRecording(run.exposure, None if scan is None else triangles_of(scan))
+    with run.open_comparer(shown, over) as comparer:
+        for done, frame in enumerate(missing):
+            yield run.progress("methods", done / len(missing), f"putting the objects into frame {frame}")
+            captured = load_frame(run.outputs.capture(frame))
+            pictures: dict[str, ArrayU8 | ArrayF64] = dict.fromkeys(shown, captured.srgb_u8)
+            if comparer.shows_an_object(captured):
+                surfaces = {} if comparer.has_scan else surfaces_known(run, frame, comparer)
+                lights = {method: chain.lights[frame][method] for method in shown}
+                composited, _, _ = comparer.render_over(captured, lights, surfaces)
+                pictures |= {method: methods.display(picture) for method, picture in composited.items()}
+            for method, picture in pictures.items():
+                write_picture(run.outputs.picture(method, frame), picture)

@@ -23,8 +23,7 @@ from xihe_blender.io.run_lights import last_surfaces
 from xihe_blender.io.run_results import FrameResult, LightChange, RunResults
 from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs import results
-from xihe_blender.previs.compare_path import compare_path
-from xihe_blender.previs.composite_path import composite_path
+from xihe_blender.previs.compare_path import compare_path, composite_path
 from xihe_blender.previs.kept_session import kept_facts
 from xihe_blender.previs.lit_blend import save_lit_blend
 from xihe_blender.previs.phone_errors import measure_phone
