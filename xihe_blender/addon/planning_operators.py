@@ -119,7 +119,7 @@ class XIHE_OT_measure_run(Measuring, bpy.types.Operator):
         from xihe_blender.previs.run_time import format_run_time
 
         state = context.window_manager.xihe
-        state.run_estimate, state.budget_estimate = map(format_run_time, (result.total_s, result.budget_s))
+        state.run_estimate, state.budget_estimate = (format_run_time(one.total_s) for one in result)
         state.timed = self.timed
         return {"FINISHED"}
 
@@ -150,12 +150,12 @@ class XIHE_OT_calibrate(Measuring, bpy.types.Operator):
 
     def start_job(self, context: bpy.types.Context) -> Job[Any]:
         from xihe_blender.addon.run_settings import previs_settings
-        from xihe_blender.previs.calibrate import calibrate
+        from xihe_blender.previs.run_time import calibrate
 
         return calibrate(context.scene, previs_settings(context.scene))
 
     def finish(self, context: bpy.types.Context, result: Any) -> set[str]:
-        from xihe_blender.previs.calibrate import format_calibration, save_calibration
+        from xihe_blender.previs.run_time import format_calibration, save_calibration
 
         save_calibration(calibration_file(), result)
         self.report({"INFO"}, format_calibration(result))

@@ -1,4 +1,4 @@
-"""The time of a run on this machine, measured on a few renders of the scene itself, not guessed from its size.
+"""The time of a run on this machine, and of a capture by preset, measured on a few renders of the scene itself.
 
 The run is prepared as it would be (exposure, effects, samples for the noise that is wanted, frames in which nothing
 changes), in a folder that goes again. Then a capture, a light probe and a comparison are rendered, after a first one
@@ -8,6 +8,10 @@ at a few places, with few pictures: how many more they need depends on the place
 
 Not counted: what a phone's errors and the chain itself take in a run, some hundredths of a second a frame, and the
 start of a second Blender, some seconds. An error budget runs the chain so often that it is counted there.
+
+What presets cost is known in under a minute: one view of the path is rendered with few samples, and each preset's
+number of samples follows from the noise that they leave and its noise target. Rejected: the pilots that a run makes for
+its preset, in three views and with up to 48 samples each, which take minutes.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
@@ -24,20 +28,26 @@ import numpy as np
 
 from xihe_blender.capture.all_around import N_VIEWS
 from xihe_blender.capture.reference_probe import FEWEST_SAMPLES, ProbeSettings
-from xihe_blender.capture.scanner import open_scanner
+from xihe_blender.capture.scanner import meter_exposure, open_scanner
 from xihe_blender.compare.methods import GroundTruth
-from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.jobs import Job, Progress, Steps, shown, timed
+from xihe_blender.errors import UserError
+from xihe_blender.io.outputs import RunOutputs, write_json
+from xihe_blender.jobs import Job, Progress, Steps, part_of, shown, timed
+from xihe_blender.light_transport import cycles_settings
+from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.budget_chain import EVERY_FRAME, SessionParts, lights_in_use, sight
 from xihe_blender.previs.budget_seeds import N_SEEDS
 from xihe_blender.previs.error_budget import MOST_LOOKS, N_MOMENTS
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
+from xihe_blender.previs.presets import PRESETS
+from xihe_blender.previs.sample_count import measure_captures, pilot_views, samples_taken
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.state import scene_kept
 from xihenet.camera_path.placement import evenly_chosen
-from xihenet.formats import format_duration
+from xihenet.effects import plan_effects
+from xihenet.formats import format_duration, format_list, format_quantity
 from xihenet.light.reflections import N_DIRECTIONS
 from xihenet.records import ObjectLight, Reflections, RgbdFrame
 
@@ -49,6 +59,7 @@ N_SESSIONS = 8
 """Times at most that an error budget runs the chain along the path: as it was, by least squares, and with a part
 perfect; clipping takes in each frame twice."""
 
+PILOT_SAMPLES = 2
 N_RENDERS = 3
 """Of each kind, in frames of their own: one that loads the scene, one with a single sample, and one with a few."""
 
@@ -68,26 +79,19 @@ class RenderTime:
 
 @dataclass(frozen=True)
 class RunTime:
-    """What a run consists of, and how long each part takes.
+    """What a run or an error budget consists of, and how long each part takes.
 
-    `prepare_s` is until the first frame, and to load the scene for the first render of each kind. `renders` are by kind
-    how many there are, without those that an earlier frame has already, and the time of one. `budget_prepare_s` and
-    `budget_renders` are the same of an error budget, which loads the scene anew with each seed; its chain counts too.
+    `prepare_s` is until the first frame, and to load the scene for the first render of each kind; an error budget loads
+    it anew with each seed. `renders` are by kind how many there are, without those that an earlier frame has already,
+    and the time of one; of an error budget the chain counts too.
     """
 
     prepare_s: float
     renders: Mapping[str, tuple[int, RenderTime]]
-    budget_prepare_s: float = 0.0
-    budget_renders: Mapping[str, tuple[int, RenderTime]] = field(default_factory=dict)
 
     @property
     def total_s(self) -> float:
         return sum((n * one.render_s for n, one in self.renders.values()), start=self.prepare_s)
-
-    @property
-    def budget_s(self) -> float:
-        """Of an error budget, all of its seeds."""
-        return sum((n * one.render_s for n, one in self.budget_renders.values()), start=self.budget_prepare_s)
 
 
 def format_run_time(seconds: float) -> str:
@@ -96,8 +100,11 @@ def format_run_time(seconds: float) -> str:
     return f"about {format_duration(step_s * max(1, round(seconds / step_s)))}"
 
 
-def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTime]:
-    """Prepare a run on `scene` and render a little of it; the scene stays as it is. UserError as a run raises it."""
+def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[tuple[RunTime, RunTime]]:
+    """A job: the time of a run on `scene`, and of its error budget with all seeds, from a few renders.
+
+    The scene stays as it is. UserError as a run raises it.
+    """
     check_is_rendered(scene)
     # Nothing is estimated: an edge server is neither asked nor left with a session.
     plan, loaded = plan_previs(scene, settings), load_estimators(replace(settings, backend=None))
@@ -108,11 +115,11 @@ def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[RunTim
         return (yield from _measured(run, surveyed_s + prepared_s))
 
 
-def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
-    """The run's time, from a few renders of each kind, spread over the frames in which a position is in view."""
+def _measured(run: PreparedRun, prepared_s: float) -> Job[tuple[RunTime, RunTime]]:
+    """From a few renders of each kind, spread over the frames in which a position is in view."""
     active = list(run.reuse.captures)
     if not active:
-        return RunTime(prepared_s, {}, prepared_s)
+        return RunTime(prepared_s, {}), RunTime(prepared_s, {})
     frames = [active[k * len(active) // N_RENDERS] for k in range(N_RENDERS)]
     with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure
@@ -136,7 +143,7 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[RunTime]:
         budget_renders["chain"] = _budget_chain(run, captured)
     budget_loaded_s = N_SEEDS * (2 * capture_loaded_s + probe_loaded_s)
     prepare_s = prepared_s + capture_loaded_s + probe_loaded_s + comparison_loaded_s
-    return RunTime(prepare_s, renders, prepared_s + budget_loaded_s, budget_renders)
+    return RunTime(prepare_s, renders), RunTime(prepared_s + budget_loaded_s, budget_renders)
 
 
 def _budget_renders(
@@ -265,3 +272,59 @@ def time_renders(
 def _slope(one_s: float, many_s: float, samples: int) -> float:
     """Seconds per sample, from a render with one and another with `samples`."""
     return max(0.0, many_s - one_s) / (samples - 1) if samples > 1 else 0.0
+
+
+# ------------------------------------------------------------------------------------------------------------- presets
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What presets cost here, measured on the file with the stem `scene`.
+
+    By preset the seconds that the capture of one frame takes, and its samples per pixel.
+    """
+
+    scene: str
+    frame_s: Mapping[str, float]
+    samples: Mapping[str, int]
+
+
+def calibrate(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[Calibration]:
+    """Measure; the scene stays as it is. The settings' own preset and samples do not matter.
+
+    UserError as a run raises it, and where no virtual object is ever in view.
+    """
+    check_is_rendered(scene)
+    plan = plan_previs(scene, settings)
+    with scene_kept():
+        survey = yield from part_of(3, 0, 0, survey_path(scene, plan))
+        metering = meter_exposure(scene, plan.frames, settings.seed, metering=settings.metering_in_force)
+        exposure = settings.exposure or (yield from shown(metering, Progress(0, 3, "metering the exposure")))
+        views = pilot_views(plan, survey)
+        if not views:
+            raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or it")
+        view = views[len(views) // 2]
+        effects = plan_effects(survey.required, overrides_in_force(scene, settings.effect_choices))
+        capture = replace(settings.capture(plan.size, PILOT_SAMPLES), light_transport=cycles_settings(effects))
+        measuring = measure_captures(scene, [view], capture, exposure, settings.n_anchors, settings.trigger_in_use)
+        noise, _ = yield from part_of(3, 1, 1, measuring)
+        with open_scanner(scene, capture) as scanner:
+            scanner.exposure = exposure
+            scanner.move_to(view[0])
+            frames = (view[0],) * N_RENDERS
+            timing = time_renders(lambda _: scanner.acquire_environment_scan(), frames, FEW_SAMPLES, scanner.scene)
+            _, capturing = yield from shown(timing, Progress(2, 3, "timing a few samples"))
+    samples = {name: samples_taken(preset, noise) for name, preset in PRESETS.items()}
+    frame_s = {name: replace(capturing, samples=n).render_s for name, n in samples.items()}
+    return Calibration(Path(bpy.data.filepath or "untitled").stem, frame_s, samples)
+
+
+def format_calibration(calibration: Calibration) -> str:
+    """As "Capturing a frame of living_room took 0.4 s at draft, 0.9 s at balanced and 3.1 s at accurate quality"."""
+    costs = [f"{format_quantity(seconds, 's', 2)} at {name}" for name, seconds in calibration.frame_s.items()]
+    return f"Capturing a frame of {calibration.scene} took {format_list(costs)} quality"
+
+
+def save_calibration(path: Path, calibration: Calibration) -> None:
+    """Remember it; OSError if the file cannot be written."""
+    write_json(path, asdict(calibration) | {"said": format_calibration(calibration)})
