@@ -27,7 +27,7 @@ from xihe_blender.io.placement_results import Place, error_range
 from xihe_blender.io.run_lights import LightsAsked
 from xihe_blender.scene.colour_management import in_working_space
 from xihe_blender.scene.shader_nodes import new_material
-from xihe_blender.viewer.gltf import viewed_objects
+from xihe_blender.viewer.save import viewed_objects
 from xihenet.captures.scan import ScanMesh
 from xihenet.colour import linear_to_srgb
 from xihenet.light.key_light import sh_of_key_light

@@ -30,7 +30,7 @@ from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.shader_nodes import new_material
-from xihe_blender.viewer.gltf import viewed_objects
+from xihe_blender.viewer.save import viewed_objects
 from xihenet.io.recording import load_frame
 from xihenet.light.platforms import Y_UP, coefficients_for, convention_of
 
@@ -122,7 +122,7 @@ def test_what_cannot_be_shown_or_is_not_in_a_file_is_one_line(done, tmp_path, ty
 def test_lost_captures_and_too_many_triangles_are_one_line(done, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     shutil.copytree(done[0], folder)
-    monkeypatch.setattr("xihe_blender.viewer.gltf.MOST_TRIANGLES", 10)
+    monkeypatch.setattr("xihe_blender.viewer.save.MOST_TRIANGLES", 10)
     assert_refused(xihe_here("export", folder, "--to", "viewer"), "triangles")
     shutil.rmtree(folder / "work")
     assert_refused(xihe_here("export", folder, "--to", "viewer"), "is gone: run xihe previs again")
