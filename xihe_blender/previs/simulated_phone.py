@@ -122,15 +122,13 @@ def choose_phone(scene: bpy.types.Scene, survey: SceneSurvey, settings: PrevisSe
 
 @dataclass(frozen=True, eq=False)
 class CaptureFacts:
-    """What one perfect capture says of the session.
-
-    `smoothest_roughness` is None where that of any pixel is not known; `ambient` (3,) is what the light sensor would
+    """What one perfect capture says of the session, the exposure that it asks for, and what the light sensor (3,) would
     read at once.
+
+    The smoothest roughness is None where that of any pixel is not known.
     """
 
     of_frame: phones.FrameFacts
-    smoothest_roughness: float | None
-    highest_transmission: float
     metered: float
     ambient: ArrayF64
 
@@ -143,20 +141,23 @@ def facts_of_capture(
     radiance: ArrayF32 | None,
 ) -> CaptureFacts:
     """Of a capture; surfaces and radiance (H, W, 3) only where the phone needs them."""
-    facts, roughness, transmission = phones.facts_of_frame(captured, positions_m), None, 0.0
+    facts = replace(phones.facts_of_frame(captured, positions_m), highest_transmission=0.0)
     if surfaces is not None:
         valid = valid_plane_depth(captured.plane_depth_m)
         assert surfaces.reflectance is not None and surfaces.transmission is not None and surfaces.roughness is not None
-        facts = replace(facts, darkest_grey=float(surfaces.reflectance[valid].min(initial=1.0)))
-        if not np.isnan(surfaces.roughness[valid]).any():
-            roughness = float(surfaces.roughness[valid].min(initial=1.0))
-        transmission = float(surfaces.transmission[valid].max(initial=0.0))
+        smoothest = float(surfaces.roughness[valid].min(initial=1.0))
+        facts = replace(
+            facts,
+            darkest_grey=float(surfaces.reflectance[valid].min(initial=1.0)),
+            smoothest_roughness=None if np.isnan(smoothest) else smoothest,
+            highest_transmission=float(surfaces.transmission[valid].max(initial=0.0)),
+        )
     metered = captured.exposure
     if radiance is not None:
         metered = metered_exposure([radiance], metering)
         facts = replace(facts, stops=float(np.log2(metered)))
     ambient = np.zeros(3) if captured.ambient is None else captured.ambient
-    return CaptureFacts(facts, roughness, transmission, metered, ambient)
+    return CaptureFacts(facts, metered, ambient)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,9 +233,9 @@ def simulate_phone(chosen: ChosenPhone, facts: Mapping[int, CaptureFacts], expos
     }
     session = phones.SessionFacts(**known)
     if facts:
-        roughness = [one.smoothest_roughness for one in facts.values() if one.smoothest_roughness is not None]
-        known["smoothest_roughness"] = min(roughness) if len(roughness) == len(facts) else None
-        known["highest_transmission"] = max(one.highest_transmission for one in facts.values())
-        session = phones.facts_of_session([one.of_frame for one in facts.values()], **known)
+        of_frames = [one.of_frame for one in facts.values()]
+        roughness = [one.smoothest_roughness for one in of_frames if one.smoothest_roughness is not None]
+        known["smoothest_roughness"] = min(roughness) if len(roughness) == len(of_frames) else None
+        session = phones.facts_of_session(of_frames, **known)
     effects = plan_effects(chosen.profile.required_effects(session, settings.link), chosen.choices)
     return SimulatedPhone(chosen, facts, exposure, effects, names_that_are_on(effects) - {phones.NETWORK})

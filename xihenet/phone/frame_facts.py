@@ -26,7 +26,7 @@ from xihenet.phone.settings import SessionFacts
 from xihenet.records import ArrayF64, RgbdFrame
 
 LEAST = ("nearest_m", "clearance_m", "darkest_grey")
-MOST = ("focal_px", "farthest_m", "widest_step_m", "steepest_deg")
+MOST = ("focal_px", "farthest_m", "widest_step_m", "steepest_deg", "highest_transmission")
 """Facts of frames of which the smallest, or the largest, is that of the session."""
 
 
