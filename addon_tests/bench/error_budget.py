@@ -51,6 +51,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.props.surfaces import Shader
 from xihe_blender.previs.budget_chain import (
     EVERY_FRAME,
+    FROM_PATH,
     SessionParts,
     Sight,
     exposure_without_clipping,
@@ -58,9 +59,7 @@ from xihe_blender.previs.budget_chain import (
     sight,
     sights_of_path,
 )
-from xihe_blender.previs.budget_looks import FROM_PATH
-from xihe_blender.previs.budget_seeds import N_SEEDS, SeedErrors, over_seeds
-from xihe_blender.previs.error_budget import error_budget, lights_from_all_around
+from xihe_blender.previs.error_budget import N_SEEDS, SeedErrors, error_budget, lights_from_all_around, over_seeds
 from xihe_blender.previs.plan import Probe, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures, render_captures

@@ -38,7 +38,7 @@ from xihe_blender.footage.import_capture import (
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.captured_path import capture_path
+from xihe_blender.previs.kept_session import capture_path
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.recorded_run import recorded_session
 from xihe_blender.previs.settings import PrevisSettings

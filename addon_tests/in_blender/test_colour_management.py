@@ -21,7 +21,7 @@ from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, sun_name
 from xihe_blender.apply.placement_map import show_placement_map
 from xihe_blender.apply.reflection_pictures import reflect_in_world, reflect_on_timeline
 from xihe_blender.apply.sh_worlds import key_light_changes, make_sh_world
-from xihe_blender.footage.scan_object import add_scan
+from xihe_blender.footage.import_capture import add_scan
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.placement_results import Place, error_range
 from xihe_blender.io.run_lights import LightsAsked

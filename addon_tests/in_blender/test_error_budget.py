@@ -34,8 +34,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.budget_results import PARTS, BudgetResults
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.budget_seeds import interval_of_mean
-from xihe_blender.previs.error_budget import error_budget
+from xihe_blender.previs.error_budget import error_budget, interval_of_mean
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.satin_ball import HALF_ANGLE, cone_factors, satin_factors
 from xihenet.sh_basis import per_coefficient

@@ -13,7 +13,7 @@ from scene_snapshot import nothing_changes
 from xihe_blender.capture.all_around import N_VIEWS
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.budget_seeds import N_SEEDS
+from xihe_blender.previs.error_budget import N_SEEDS
 from xihe_blender.previs.run_time import (
     N_SESSIONS,
     RenderTime,

@@ -20,15 +20,18 @@ import numpy as np
 from xihe_blender.apply.keyed_camera import add_camera, pixel_aspect
 from xihe_blender.errors import UserError
 from xihe_blender.footage.pictures import Footage, new_footage_folder, show_behind
-from xihe_blender.footage.scan_object import add_scan, frames_to_scan
 from xihe_blender.jobs import Job, Progress, part_of
+from xihe_blender.scene.colour_management import in_working_space
+from xihe_blender.scene.mesh_arrays import fill_mesh
 from xihe_blender.scene.phone_capture import (
+    SCAN,
     ChosenCapture,
     frames_a_second,
     frames_of_times,
     remember_capture,
     remembered_capture,
 )
+from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.camera import valid_plane_depth
 from xihenet.captures import open_capture
@@ -36,7 +39,7 @@ from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.conventions import suspicion
 from xihenet.captures.drift import steadied
 from xihenet.captures.reading import READERS, xihe_session
-from xihenet.captures.scan import FARTHEST_M, Scan
+from xihenet.captures.scan import FARTHEST_M, Scan, ScanMesh
 from xihenet.formats import format_bytes, format_count
 from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import ArrayF64, RgbdFrame
@@ -49,6 +52,13 @@ READING_SHARE = 0.4  # Of the time, where frames are kept as well
 COARSEST_M = 1e-3  # Steps of Blender's coordinates above which an import is said to lie too far away
 DEEPEST = 3  # Folders above a file of a recording, as of Polycam's keyframes/images/1.jpg
 OUTSIDE = "this Blender cannot read it: run `xihe import` outside of Blender, with the package installed"
+
+COLOURS = "Seen Colour"
+SOLID_COLOUR = (0.8, 0.8, 0.8, 0.2)
+"""Of a solid view, with its opacity: the pictures behind the camera show through the scan."""
+
+MOVED_M, TURNED_RAD = 0.08, np.radians(6)
+"""Frames that differ from the last one that was taken in by less add nothing to the scan that it does not have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,3 +296,49 @@ def first_looked_at_m(frame: RgbdFrame) -> ArrayF64:
     ray = np.array([(k.width / 2 - k.cx) / k.fx, (k.cy - k.height / 2) / k.fy, -1.0])
     place_m: ArrayF64 = frame.world_from_camera[:3, :3] @ (ray * depth_m) + frame.world_from_camera[:3, 3]
     return place_m
+
+
+# ------------------------------------------------------------------------------------------------------------ the scan
+
+
+def frames_to_scan(capture: Capture) -> set[int]:
+    """Places in the recording of the frames that are scanned: those after the camera has moved or turned."""
+    chosen: set[int] = set()
+    last = None
+    for index, frame in enumerate(capture.frames):
+        pose = frame.camera.world_from_camera
+        if last is not None:
+            turned_rad = np.arccos(np.clip((np.trace(last[:3, :3].T @ pose[:3, :3]) - 1) / 2, -1, 1))
+            if turned_rad < TURNED_RAD and np.linalg.norm(pose[:3, 3] - last[:3, 3]) < MOVED_M:
+                continue
+        chosen.add(index)
+        last = pose
+    return chosen
+
+
+def add_scan(name: str, scan: ScanMesh, unit_m: float) -> bpy.types.Object:
+    """An object, in no collection yet, of `scan`; `unit_m` are metres in a Blender unit."""
+    mesh = bpy.data.meshes.new(name)
+    fill_mesh(mesh, scan.points_m / np.float32(unit_m), scan.quads.ravel(), 4 * np.arange(len(scan.quads)))
+    colours = mesh.color_attributes.new(COLOURS, "BYTE_COLOR", "POINT")
+    opaque = np.column_stack([in_working_space(scan.colours.clip(0, 1)), np.ones(len(scan.colours), np.float32)])
+    colours.data.foreach_set("color", opaque.astype(np.float32).ravel())  # Linear; Blender encodes it
+    mesh.materials.append(_showing_colours(name))
+    item = bpy.data.objects.new(name, mesh)
+    item[SCAN] = name
+    item.is_shadow_catcher = True
+    return item
+
+
+def _showing_colours(name: str) -> bpy.types.Material:
+    """A dull material in the colours of the mesh's points, and see-through where a solid view shows no colours."""
+    material = new_material(name)
+    material.diffuse_color = SOLID_COLOUR
+    tree = material.node_tree
+    shader = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Roughness"].default_value = 1.0
+    shader.inputs["Specular IOR Level"].default_value = 0.0
+    colour = tree.nodes.new("ShaderNodeVertexColor")
+    colour.layer_name, colour.location = COLOURS, (-250, 250)
+    tree.links.new(colour.outputs["Color"], shader.inputs["Base Color"])
+    return material

@@ -26,8 +26,14 @@ from xihe_blender.io.look_results import LookAway, LookResults, ObjectAdvice, Tr
 from xihe_blender.io.outputs import write_json, write_picture
 from xihe_blender.io.run_lights import as_rgb
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.previs.captured_path import CapturedPath, capture_path, measured_lights, path_facts
-from xihe_blender.previs.kept_session import KeptSession, open_kept_session
+from xihe_blender.previs.kept_session import (
+    CapturedPath,
+    KeptSession,
+    capture_path,
+    measured_lights,
+    open_kept_session,
+    path_facts,
+)
 from xihe_blender.previs.placement import PlacementSettings, find_places
 from xihe_blender.previs.plan import plan_previs
 from xihe_blender.previs.room_from_above import RoomFromAbove
@@ -164,11 +170,11 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class FoundLook:
-    """An object's advice, and what it was found from; `best` is None where the path has shown nothing at all."""
+    """An object's advice, and what it was found from."""
 
     advice: ObjectAdvice
     target: Target
-    best: Advice | None
+    best: Advice
 
 
 def find_looks(session: KeptSession, objects: Targets, settings: LookSettings) -> Job[list[FoundLook]]:
@@ -251,12 +257,12 @@ def verify_looks(captured: CapturedPath, found: Sequence[FoundLook], wishes: Loo
     session, settings = captured.session, captured.run.settings
     path = [(one.seen.frame, one.seen.world_from_camera) for one in session.frames]
     rng = np.random.default_rng(settings.seed)
-    chosen = [one for one in found if one.best is not None and one.advice.look is not None]
-    looks = [[one.best.look, *random_looks(path, wishes.n_random, rng, wishes.looks)] for one in chosen if one.best]
+    chosen = [one for one in found if one.advice.look is not None]
+    looks = [[one.best.look, *random_looks(path, wishes.n_random, rng, wishes.looks)] for one in chosen]
     seen = yield from render_looks(captured, [look for of_one in looks for look in of_one], wishes.looks)
     places_m = [place_m for one in chosen for place_m in one.target.positions_m]
     truths = iter((yield from measured_lights(captured.run, places_m)))
-    estimator, frames, updated = captured.run.estimator, list(captured.frames), {}
+    estimator, frames, updated = captured.run.estimator, [frame for frame, _ in path], {}
     for one, of_one in zip(chosen, looks, strict=True):
         truth = [next(truths) for _ in one.target.positions_m]
         clouds = [one.target.clouds(frames)]

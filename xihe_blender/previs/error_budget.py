@@ -16,53 +16,55 @@ part alike. Parts overlap: what the phone has never seen may be missing since it
     delay           every frame makes an estimate, which is there at once
     order 2         the light has what the true one has beyond nine coefficients
 
-All is measured with several seeds, everything rendered and drawn anew, and given as means over them: what noise makes
-of a part, and a trigger that fires in another frame, is told by its interval (`budget_seeds`).
+All is measured with several seeds. With another one the pictures have other grain, the phone's sensor and the network
+draw other numbers, and the trigger may fire in another frame. What is said of a part is the mean, and the interval in
+which the mean over all seeds lies in 95 of 100 cases: Student's t, since three seeds tell their own spread badly.
 
-Rejected: to take the network for all that least squares would not get wrong. It fills what was not seen, and is better
-at it or worse; what that is worth is told by `least_squares_error`.
+Rejected: intervals from the moments of one session, whose errors all come from the same captures and go up and down
+together; and from what noise each picture has, which cannot know what a trigger makes of it. To take the network for
+all that least squares would not get wrong: it fills what was not seen, and is better at it or worse; what that is worth
+is told by `least_squares_error`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean, stdev
 
 import bpy
 import numpy as np
 
 from xihe_blender.capture.all_around import light_of_views, means_of_anchors
 from xihe_blender.errors import UserError
-from xihe_blender.io.budget_results import PARTS, BudgetResults, ObjectBudget
+from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, ObjectBudget
 from xihe_blender.io.folder_manifest import FolderManifest
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress, Steps, part_of, shown
 from xihe_blender.previs.budget_chain import (
     EVERY_FRAME,
+    FROM_PATH,
     LightInUse,
     SessionParts,
     Sight,
     Unclipped,
-    exposure_without_clipping,
-    lights_in_use,
-    sight,
-    sights_of_path,
-    with_radiance,
-)
-from xihe_blender.previs.budget_looks import (
-    FROM_PATH,
     View,
+    exposure_without_clipping,
     kept_ball,
     kept_views,
+    lights_in_use,
     look_around,
     measure_balls,
     place_of,
+    sight,
+    sights_of_path,
     view_outputs,
+    with_radiance,
 )
-from xihe_blender.previs.budget_seeds import N_SEEDS, SeedErrors, over_seeds, with_seed
-from xihe_blender.previs.captured_path import path_facts
+from xihe_blender.previs.kept_session import path_facts
 from xihe_blender.previs.plan import Probe, check_is_rendered, made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures, render_captures
@@ -74,13 +76,14 @@ from xihenet.buffers import merge_in_sight
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators import EstimateContext, Estimator
 from xihenet.estimators.weights_format import weights_sha256
+from xihenet.paired import t_975
 from xihenet.records import ArrayF64, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.satin_ball import SatinBall
 from xihenet.sphere import AnchorLattice
 
 BUDGET = "an error budget"
-N_MOMENTS = 4
+N_MOMENTS, N_SEEDS = 4, 3
 MOST_LOOKS = 12
 """Before so many frames of the path somebody looks around, evenly; and before those from which measured light comes."""
 CAPTURE_SHARE, LOOK_SHARE, BALL_SHARE = 0.5, 0.3, 0.15
@@ -148,12 +151,70 @@ def error_budget(
         return results
 
 
+# ---------------------------------------------------------------------------------------------------------- over seeds
+
+
+@dataclass(frozen=True)
+class SeedErrors:
+    """Of one object, measured with one seed: root mean squares over its positions and moments."""
+
+    brightness: float
+    error: float
+    least_squares: float | None
+    with_perfect: Mapping[str, float]
+    """What is left of the error by part; a part that is not simulated is not in it."""
+
+
+def with_seed(run: PreparedRun, number: int) -> PreparedRun:
+    """`run` with the `number`-th seed from its own on, exposure and samples as they are; the first is the run itself.
+
+    What it renders lies in a folder of its own.
+    """
+    if number == 0:
+        return run
+    settings = replace(run.settings, seed=run.settings.seed + number)
+    outputs = RunOutputs(run.outputs.folder / "work" / f"seed_{number}", run.outputs.scene)
+    return replace(run, settings=settings, outputs=outputs, phone=replace(run.phone, settings=settings))
+
+
 def _of_object(
     run: PreparedRun, name: str, moments: Moments, measured: Sequence[Mapping[str, SeedErrors]]
 ) -> ObjectBudget:
     """The budget of one object over all seeds."""
     frames = {frame for probe in run.plan.probes_of(name) for frame in moments[probe.name]}
     return over_seeds(name, tuple(sorted(frames)), [errors[name] for errors in measured if name in errors])
+
+
+def over_seeds(name: str, moments: tuple[int, ...], seeds: Sequence[SeedErrors]) -> ObjectBudget:
+    """The budget of object `name` from its errors with each seed; of one that was never in view there are none."""
+    if not seeds:
+        return ObjectBudget(name=name, moments=())
+    least_squares = [one.least_squares for one in seeds if one.least_squares is not None]
+    return ObjectBudget(
+        name=name,
+        moments=moments,
+        brightness=fmean(one.brightness for one in seeds),
+        error=fmean(one.error for one in seeds),
+        least_squares_error=fmean(least_squares) if least_squares else None,
+        parts=tuple(_part(part, seeds) for part in PARTS),
+    )
+
+
+def _part(name: str, seeds: Sequence[SeedErrors]) -> BudgetPart:
+    error = fmean(one.error for one in seeds)
+    if name not in seeds[0].with_perfect:
+        return BudgetPart(name=name, state="not simulated", error=error, gain=0.0)
+    left = fmean(one.with_perfect[name] for one in seeds)
+    interval = interval_of_mean([one.error - one.with_perfect[name] for one in seeds])
+    return BudgetPart(name=name, state="measured", error=left, gain=error - left, interval=interval)
+
+
+def interval_of_mean(values: Sequence[float]) -> tuple[float, float] | None:
+    """The 95 % confidence interval of the mean of independent `values`, by Student's t; None for a single one."""
+    if len(values) < 2:
+        return None
+    middle, half = fmean(values), t_975(len(values) - 1) * stdev(values) / math.sqrt(len(values))
+    return middle - half, middle + half
 
 
 # ------------------------------------------------------------------------------------------------------------ one seed

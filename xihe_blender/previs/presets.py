@@ -27,7 +27,7 @@ class Preset:
     max_samples : Cycles samples per pixel for captures, at most; see `sample_count` for how many are taken
     min_samples : Cycles samples per pixel for captures, at least
     path_samples : Cycles samples per pixel for captures of a path alone, without a position at which a pilot could
-        measure the noise, see `captured_path`
+        measure the noise, see `kept_session`
     probe_samples : pictures that the reference probe takes, at most; see `reference_probe`
     comparison_samples : Cycles samples per pixel, fixed; 32 at least, since the denoiser takes light of lamps that
         mirrors and shiny things show for noise: with 8 a method's error came out too small, see docs/limits.md

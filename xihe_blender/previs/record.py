@@ -23,8 +23,7 @@ from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.io.provenance import software
 from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.light_transport.render_reuse import plan_render_reuse
-from xihe_blender.previs.captured_path import path_plan
-from xihe_blender.previs.kept_session import kept_facts
+from xihe_blender.previs.kept_session import kept_facts, path_plan
 from xihe_blender.previs.plan import PrevisPlan, Probe, made_of, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run, survey_run
 from xihe_blender.previs.run_chain import phone_of_captures, render_captures

@@ -36,8 +36,7 @@ from xihe_blender.jobs import Job, Progress, Steps, part_of, shown, timed
 from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.budget_chain import EVERY_FRAME, SessionParts, lights_in_use, sight
-from xihe_blender.previs.budget_seeds import N_SEEDS
-from xihe_blender.previs.error_budget import MOST_LOOKS, N_MOMENTS
+from xihe_blender.previs.error_budget import MOST_LOOKS, N_MOMENTS, N_SEEDS
 from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.presets import PRESETS

@@ -123,7 +123,7 @@ def planned_walk(
 
     UserError as of a run.
     """
-    from xihe_blender.previs.captured_path import path_plan
+    from xihe_blender.previs.kept_session import path_plan
     from xihe_blender.previs.plan import plan_previs
     from xihe_blender.previs.settings import PrevisSettings
     from xihe_blender.scene.virtual_objects import virtual_objects
