@@ -10,7 +10,6 @@ said of one that is read all the same; "read" where nothing is said.
 
 import json
 import shutil
-import struct
 import zipfile
 
 import numpy as np
@@ -178,14 +177,6 @@ def whole(change):
     return lambda path: path.write_bytes(change(path.read_bytes()))
 
 
-def packed_by_lzma(path):
-    with zipfile.ZipFile(path) as file:
-        members = {one: file.read(one) for one in file.namelist()}
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as file:
-        for one, stored in members.items():
-            file.writestr(one, stored)
-
-
 def marked_encrypted(content):
     """Every member of the central directory has the flag of encryption."""
     at, marked = content.find(b"PK\x01\x02"), bytearray(content)
@@ -195,14 +186,13 @@ def marked_encrypted(content):
     return bytes(marked)
 
 
-def packed(content, says=None):
-    """LZFSE; `says` how many bytes its first block unpacks to, which may be a lie."""
+def packed(content):
+    """LZFSE."""
 
     def of(_):
         import lzfse
 
-        stored = lzfse.compress(content)
-        return stored if says is None else stored[:4] + struct.pack("<I", says) + stored[8:]
+        return lzfse.compress(content)
 
     return of
 
@@ -216,14 +206,6 @@ RECORD3D = {
     "metadata begins with a byte order mark": (member("metadata", lambda said: b"\xef\xbb\xbf" + said), READ),
     "metadata is no JSON": (member("metadata", GARBAGE), "expected JSON"),
     "metadata is a list": (member("metadata", b"[]"), "expected a JSON object"),
-    "metadata is a bomb": (member("metadata", bytes(2**26 + 1)), "expected at most"),
-    "depth is a bomb": (member(DEPTH, bytes(2**22)), "expected at most"),
-    "LZFSE is a bomb": (member(DEPTH, packed(bytes(2**23))), "unpacks to"),
-    "LZFSE that lies": (member(DEPTH, packed(bytes(2**20), says=10)), "another size than it says"),
-    "a path upwards": (member("../elsewhere", b"x"), "lies outside"),
-    "a path from the root": (member("/etc/elsewhere", b"x"), "lies outside"),
-    "a path of Windows": (member("C:\\elsewhere", b"x"), "lies outside"),
-    "packed by LZMA": (packed_by_lzma, "no method but deflate"),
     "encrypted": (whole(marked_encrypted), "cannot be read"),
     "a pose that is NaN": (
         in_metadata("poses", 1, [float("nan")] * 7),

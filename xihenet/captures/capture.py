@@ -12,6 +12,7 @@ from xihenet.io.frame_files import FrameCamera
 from xihenet.records import ArrayF64, RgbdFrame
 from xihenet.trigger import TriggerSettings
 
+EXTRA = "pip install 'xihe-blender[captures]'"
 KEPT_BYTES = 2**28
 """Of frames that are read more than once: some 700 of 256x192."""
 

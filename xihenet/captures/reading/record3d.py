@@ -12,16 +12,16 @@ from __future__ import annotations
 
 import math
 import re
+import zipfile
+import zlib
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, CapturedFrame
+from xihenet.captures.capture import EXTRA, Capture, CapturedFrame
 from xihenet.captures.floor import upright
-from xihenet.captures.reading.archive import MAGIC, Archive, open_archive
-from xihenet.captures.reading.lzfse_files import unpack_lzfse
 from xihenet.captures.reading.phone_frame import confidence_levels, left_out, measured, phone_frame, without_confidence
 from xihenet.captures.reading.values import notes_on_times, numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
@@ -31,8 +31,10 @@ from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
 METADATA, SUFFIX = "metadata", ".r3d"
 NAME = re.compile(r"rgbd/(\d{1,9})\.depth")
-MOST_METADATA, MOST_PICTURE = 2**26, 2**26  # Bytes; an hour at 60 frames a second has 50 MB of metadata
-PACKED_SLACK = 2**16  # Bytes by which what cannot be packed may grow
+MAGIC = b"PK"
+BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, LookupError)
+"""What zipfile raises for files that are none, are cut short, or are encrypted."""
+
 USUAL_FPS = 60.0
 AT_ORIGIN = 1e-4  # Who begins so near to the origin of the world, along its axes, has the first camera's own world
 
@@ -48,7 +50,16 @@ def read(path: Path, up: str | None) -> Capture:
     """As of `xihenet.captures.open_capture`; ImportError without the package lzfse, where the floor is looked for."""
     if path.is_dir():
         raise ValueError(f"{path} is an unpacked {SUFFIX} file: give that file, or a zip of what is in the folder")
-    archive = open_archive(path)
+    try:
+        archive = zipfile.ZipFile(path)
+    except BROKEN as error:
+        raise ValueError(f"{path}: no whole zip file ({error}): copy it again") from None
+    members = set(archive.namelist())
+    if METADATA not in members:
+        raise ValueError(
+            f"{path}: {METADATA} is missing, which Record3D stores at the top of its file: "
+            "unpack another app's zip, and give the folder that is in it"
+        )
     content = _metadata(archive)
     with named(f"{path}, {METADATA}"):
         size, depth_size, notes = _sizes(content)
@@ -63,11 +74,11 @@ def read(path: Path, up: str | None) -> Capture:
             None if pose is None else frame_camera(Intrinsics(*size, *one), (start @ pose).tolist(), up=assumed)
             for one, pose in zip(k.tolist(), poses, strict=True)
         ]
-    numbers_of = sorted(int(found[1]) for name in archive.members if (found := NAME.fullmatch(name)))
+    numbers_of = sorted(int(found[1]) for name in members if (found := NAME.fullmatch(name)))
     there = {
         n: camera
         for n in numbers_of
-        if n < len(cameras) and (camera := cameras[n]) is not None and f"rgbd/{n}.jpg" in archive.members
+        if n < len(cameras) and (camera := cameras[n]) is not None and f"rgbd/{n}.jpg" in members
     }
     if not there:
         raise ValueError(f"{path}: no frame has colour, depth and a pose: record with LiDAR")
@@ -78,26 +89,42 @@ def read(path: Path, up: str | None) -> Capture:
     ]
     notes += notes_on_times([frame.time_s for frame in frames])
     notes += left_out(max(n_said, len(numbers_of)) - len(there), "colour, depth or a pose")
-    are_sure = [f"rgbd/{n}.conf" in archive.members for n in there]
+    are_sure = [f"rgbd/{n}.conf" in members for n in there]
     if any(are_sure):
         notes += without_confidence(are_sure)
     capture = Capture("Record3D", frames, BLENDER_FROM_UP[assumed], notes)
     return capture if up is not None or knows_up else upright(capture, assumed)
 
 
-def _metadata(archive: Archive) -> dict[str, Any]:
-    if METADATA not in archive.members:
+def _content(archive: zipfile.ZipFile, name: str) -> bytes:
+    try:
+        return archive.read(name)
+    except BROKEN as error:
+        raise ValueError(f"{archive.filename}: {name} cannot be read ({error}): copy the file again") from None
+
+
+def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
+    """What LZFSE has packed in a member. ImportError, naming the extra, without the package."""
+    try:
+        import lzfse
+    except ImportError as error:
+        raise ImportError(f"the depth of Record3D is unpacked by lzfse: {EXTRA}") from error
+    try:
+        return bytes(lzfse.decompress(_content(archive, name)))
+    except (lzfse.error, MemoryError):
         raise ValueError(
-            f"{archive.path}: {METADATA} is missing, which Record3D stores at the top of its file: "
-            "unpack another app's zip, and give the folder that is in it"
-        )
-    content = archive.read(METADATA, MOST_METADATA)
+            f"{archive.filename}: {name}: expected LZFSE, and could not unpack it: copy it again"
+        ) from None
+
+
+def _metadata(archive: zipfile.ZipFile) -> dict[str, Any]:
+    content = _content(archive, METADATA)
     try:
         said = parse_json(content.decode("utf-8-sig"))
     except ValueError as error:
-        raise ValueError(f"{archive.path}, {METADATA}: expected JSON, and could not read it ({error})") from None
+        raise ValueError(f"{archive.filename}, {METADATA}: expected JSON, and could not read it ({error})") from None
     if not isinstance(said, dict):
-        raise ValueError(f"{archive.path}, {METADATA}: expected a JSON object")
+        raise ValueError(f"{archive.filename}, {METADATA}: expected a JSON object")
     return said
 
 
@@ -155,25 +182,22 @@ def _pose(row: ArrayF64, name: str) -> ArrayF64:
     return pose_of(row[4:], row[:4], name)
 
 
-def _load(archive: Archive, n: int, camera: FrameCamera, size: tuple[int, int] | None) -> RgbdFrame:
-    source = archive.path / "rgbd" / f"{n}.depth"  # Names it; there is no such file.
-    k = camera.intrinsics
-    most = size[0] * size[1] if size else min(k.width * k.height, MOST_PIXELS)
-    packed = archive.read(f"rgbd/{n}.depth", 4 * most + PACKED_SLACK)
-    unpacked = unpack_lzfse(packed, str(source), 4 * most)
-    width, height = size or _size_as(k, len(unpacked) // 4, source)
+def _load(archive: zipfile.ZipFile, n: int, camera: FrameCamera, size: tuple[int, int] | None) -> RgbdFrame:
+    source = Path(str(archive.filename)) / "rgbd" / f"{n}.depth"  # Names it; there is no such file.
+    unpacked = _unpacked(archive, f"rgbd/{n}.depth")
+    width, height = size or _size_as(camera.intrinsics, len(unpacked) // 4, source)
     if len(unpacked) != 4 * width * height:
         raise ValueError(f"{source}: expected {width}x{height} distances of 4 bytes, got {len(unpacked)} bytes")
     plane_depth_m = np.frombuffer(unpacked, "<f4").reshape(height, width)
     confidence = None
-    if (name := f"rgbd/{n}.conf") in archive.members:
-        levels = unpack_lzfse(archive.read(name, most + PACKED_SLACK), str(source.with_suffix(".conf")), most)
+    if (name := f"rgbd/{n}.conf") in archive.NameToInfo:
+        levels = _unpacked(archive, name)
         if len(levels) != width * height:
             raise ValueError(f"{source.with_suffix('.conf')}: expected {width}x{height} bytes, got {len(levels)}")
         confidence = confidence_levels(np.frombuffer(levels, np.uint8).reshape(height, width))
     # The sensor's NaN is a distance that it has not got; the colour there is sound.
     depth = measured(source, np.nan_to_num(plane_depth_m, nan=0.0, posinf=np.inf, neginf=0.0), confidence)
-    return phone_frame(source.with_suffix(".jpg"), archive.read(f"rgbd/{n}.jpg", MOST_PICTURE), depth, camera)
+    return phone_frame(source.with_suffix(".jpg"), _content(archive, f"rgbd/{n}.jpg"), depth, camera)
 
 
 def _size_as(k: Intrinsics, n: int, source: Path) -> tuple[int, int]:

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from xihenet.captures.capture import EXTRA
 from xihenet.io.picture_size import check_size
 from xihenet.records import ArrayU8
 
-EXTRA = "pip install 'xihe-blender[captures]'"
 DEMUXER = "mov"
 # Of FFmpeg's conversion: bicubic, with accurate rounding and colour at full width both ways. As it comes it cuts
 # numbers off, and every colour is darker by 1.1 of 255, which is 4 % of the light of a dark wall.

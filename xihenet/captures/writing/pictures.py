@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from xihenet.camera import valid_plane_depth
+from xihenet.captures.capture import EXTRA
 from xihenet.records import ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 LARGEST_IN_16_BITS = 65534  # 65535 stands for a miss
@@ -45,7 +46,7 @@ def pillow() -> Any:
     try:
         from PIL import Image
     except ImportError as error:
-        raise ImportError("pictures are written by pillow: pip install 'xihe-blender[captures]'") from error
+        raise ImportError(f"pictures are written by pillow: {EXTRA}") from error
     return Image
 
 

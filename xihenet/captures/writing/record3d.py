@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from xihenet.camera import valid_plane_depth
-from xihenet.captures.reading.lzfse_files import EXTRA
+from xihenet.captures.capture import EXTRA
 from xihenet.captures.reading.record3d import METADATA
 from xihenet.captures.reading.values import quaternion_of
 from xihenet.captures.writing.pictures import (

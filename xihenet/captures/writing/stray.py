@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from xihenet.captures.capture import EXTRA
 from xihenet.captures.reading.stray import COLUMNS, INTRINSICS, MATRIX, ODOMETRY, VIDEO
 from xihenet.captures.reading.values import quaternion_of
-from xihenet.captures.reading.video import EXACTLY, EXTRA
+from xihenet.captures.reading.video import EXACTLY
 from xihenet.captures.writing.pictures import (
     USUAL,
     Form,
