@@ -27,7 +27,7 @@ from xihenet.invalid import Counts, counted
 from xihenet.io.recording import SessionRecorder
 from xihenet.light import BetweenEstimates
 from xihenet.light.carried_light import CarriedLight
-from xihenet.light.key_light import split_light
+from xihenet.light.key_light import find_key_light
 from xihenet.light.reflections import N_DIRECTIONS, N_NEIGHBOURS, thinned
 from xihenet.light_change import LightFollowing, follow_coarser, follow_light
 from xihenet.records import (
@@ -331,7 +331,7 @@ class XiheController:
         if not self.settings.has_key_light:
             return None
         seen, lattice = position.reflected, self.fine_lattice
-        return split_light(light.sh_radiance, seen, lattice, previous, expected_error=light.expected_error).key
+        return find_key_light(light.sh_radiance, seen, lattice, previous, expected_error=light.expected_error)
 
     def _with_others(
         self, estimate: LightEstimate, cloud: UnitSphereCloud, context: EstimateContext, position: _Position

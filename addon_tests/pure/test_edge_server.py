@@ -25,7 +25,7 @@ from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.protocol import content_type_of, read_published
 from xihenet.edge.service import ServiceSettings
 from xihenet.edge.sessions import SeenPosition, StoreLimits
-from xihenet.light.key_light import split_light
+from xihenet.light.key_light import find_key_light
 from xihenet.metrics import shc_rmse
 from xihenet.records import UnitSphereCloud
 from xihenet.sphere import AnchorLattice
@@ -157,7 +157,7 @@ def test_key_light_and_reflections_are_made_if_asked_for(server):
     payload = encode_cloud(cloud, "float32_stripped")
     status, answer = server.light(session, token, payload, query=query, Xihe_Axes="y-up")
     assert status == 200
-    key = split_light(sh_from(answer["coefficients"], "y-up"), cloud, AnchorLattice(N)).key
+    key = find_key_light(sh_from(answer["coefficients"], "y-up"), cloud, AnchorLattice(N))
     assert np.allclose(vector_from(answer["key_light"]["direction"], "y-up"), key.direction)
     assert np.allclose(answer["key_light"]["irradiance"], key.irradiance) and answer["key_light"]["is_seen"]
     radiance = np.frombuffer(base64.b64decode(answer["reflections"]["radiance_float16"]), "<f2")

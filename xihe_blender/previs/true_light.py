@@ -13,7 +13,7 @@ from xihe_blender.previs.plan import Probe
 from xihe_blender.previs.prepare import PreparedRun
 from xihenet.colour import linear_to_srgb
 from xihenet.controller import XiheController
-from xihenet.light.key_light import mean_light, split_light, with_positions
+from xihenet.light.key_light import find_key_light, mean_light, with_positions
 from xihenet.light.reflections import rendered_reflections
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions, solid_angles
@@ -47,7 +47,7 @@ class TrueLight:
             measured, key, reflections = references[probe.name], None, None
             if self.run.settings.has_key_light:
                 view, previous = true_view(self.run, probe, frame, self.lattice), None if before is None else before.key
-                key = split_light(measured.hdr, view, self.lattice, previous, is_exposed=False).key
+                key = find_key_light(measured.hdr, view, self.lattice, previous, is_exposed=False)
             is_first = probe == self.run.plan.probes_of(probe.object_name)[0]
             if self.fine_lattice is not None and self.run.settings.has_reflections and is_first:
                 reflections = true_reflections(self.run, probe, frame, self.fine_lattice)

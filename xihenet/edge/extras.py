@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from xihenet.edge.axes import vector_in
-from xihenet.light.key_light import split_light
+from xihenet.light.key_light import find_key_light
 from xihenet.light.reflections import fill_reflections
 from xihenet.records import KeyLight, LightEstimate, ObjectLight, Reflections, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
@@ -29,7 +29,7 @@ def extras_of(
 ) -> tuple[KeyLight | None, Reflections | None]:
     """The key light, and reflections if they are wished for; `before` is the key light of the answer before."""
     lattice = AnchorLattice(len(cloud))
-    key = split_light(light.sh_radiance, cloud, lattice, before, expected_error=light.expected_error).key
+    key = find_key_light(light.sh_radiance, cloud, lattice, before, expected_error=light.expected_error)
     if not wishes.has_reflections:
         return key, None
     return key, fill_reflections(cloud, lattice, ObjectLight(light.sh_radiance, key))

@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,8 +29,6 @@ from xihenet.colour import LUMINANCE, srgb_to_linear
 from xihenet.records import ArrayBool, ArrayF64, KeyLight, ObjectLight, UnitSphereCloud
 from xihenet.sh_basis import checked_sh
 from xihenet.sphere import AnchorLattice
-
-WhyNone = Literal["", "dark", "flat", "two lights"]
 
 BRIGHT_OF_BRIGHTEST, BRIGHT_OF_MEDIAN = 0.5, 2.5
 """An anchor belongs to a bright patch from these shares of the brightest and of the median of what was seen on."""
@@ -84,15 +81,6 @@ SMALLEST_RADIUS, LARGEST_RADIUS = float(np.radians(0.25)), float(np.radians(40))
 
 
 @dataclass(frozen=True, eq=False)
-class LightSplit:
-    """An estimate as a key light and what is left of it, (9, 3); `why_none` says why there is no key light."""
-
-    key: KeyLight | None
-    rest: ArrayF64
-    why_none: WhyNone = ""
-
-
-@dataclass(frozen=True, eq=False)
 class _Candidate:
     """Of a patch that was seen, `irradiance` is what it showed on a surface that faces it."""
 
@@ -103,7 +91,7 @@ class _Candidate:
     may_be_brighter: bool = True
 
 
-def split_light(
+def find_key_light(
     sh_radiance: ArrayLike,
     cloud: UnitSphereCloud | None = None,
     lattice: AnchorLattice | None = None,
@@ -111,8 +99,8 @@ def split_light(
     *,
     is_exposed: bool = True,
     expected_error: float | None = None,
-) -> LightSplit:
-    """Split an estimate into its key light and the rest.
+) -> KeyLight | None:
+    """The key light of an estimate; None in flat light, in the dark, and for two lights of one strength.
 
     Parameters
     ----------
@@ -128,26 +116,23 @@ def split_light(
     """
     coefficients, order = checked_sh(sh_radiance)
     if order != 2:
-        raise ValueError(f"split_light: expected coefficients of order 2, got order {order}")
+        raise ValueError(f"find_key_light: expected coefficients of order 2, got order {order}")
     if cloud is not None and (lattice is None or len(lattice) != len(cloud)):
-        raise ValueError(f"split_light: expected the lattice of the cloud's {len(cloud)} anchors")
+        raise ValueError(f"find_key_light: expected the lattice of the cloud's {len(cloud)} anchors")
     luminance = coefficients @ LUMINANCE
     if luminance[0] <= 0 or not np.any(luminance[1:]):
-        return LightSplit(None, coefficients, "dark" if luminance[0] <= 0 else "flat")
+        return None
     candidates = _candidates(luminance, cloud, lattice, previous, is_exposed)
     strengths = _strengths(luminance, candidates)
     chosen = _chosen(candidates, strengths, previous)
     if chosen is None:
-        return LightSplit(None, coefficients, "two lights")
+        return None
     key = _fitted(coefficients, candidates[chosen], strengths[chosen])
-    flux, stays = (
-        sh_of_key_light(key)[0] @ LUMINANCE,
-        previous is not None and _is_same(key.direction, previous.direction),
-    )
+    flux = sh_of_key_light(key)[0] @ LUMINANCE
+    stays = previous is not None and _is_same(key.direction, previous.direction)
     if flux < LEAST_FLUX * luminance[0] * (STAYS_FROM if stays else 1):
-        return LightSplit(None, coefficients, "flat")
-    key = replace(key, certainty=certainty_of(key, expected_error))
-    return LightSplit(key, coefficients - sh_of_key_light(key))
+        return None
+    return replace(key, certainty=certainty_of(key, expected_error))
 
 
 def sh_of_key_light(key: KeyLight | None) -> ArrayF64:
