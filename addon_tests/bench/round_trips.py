@@ -25,12 +25,8 @@ from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture
 from xihenet.captures.replay import REPLAY_TRIGGER, ReplayedStep, never_in_view, replay
 from xihenet.captures.writing import WRITERS
-from xihenet.captures.writing.pictures import Form
 from xihenet.records import ArrayF64, RgbdFrame
 
-WIDE = 4
-LAYOUTS = [(name, Form(colour_scale=scale)) for name in WRITERS for scale in (1, WIDE)]
-LAYOUTS += [("nerfstudio", Form(scale, is_jpeg=True)) for scale in (1, WIDE)]
 STEPS_A_METRE = {"nerfstudio": 1000, "stray": 1000, "tum": 5000}
 """Of the layouts whose depth is whole numbers of 16 bits."""
 
@@ -85,10 +81,10 @@ def main() -> None:
     longer = [replace(frame, plane_depth_m=frame.plane_depth_m * np.float32(1.0001)) for frame in frames]
     again = steps(longer, ours, at_m, ours.reference_exposure)
     print(f"| depth 0.01 % longer | 0 | | {steps_alike(first, again)} | {difference(first, again)} | | |", flush=True)
-    for layout, form in LAYOUTS:
+    for layout, write in WRITERS.items():
         with tempfile.TemporaryDirectory() as beside:
             path = Path(beside) / ("recording.r3d" if layout == "record3d" else "recording")
-            n_unheld = WRITERS[layout](path, frames, form).n_unheld
+            n_unheld = write(path, frames).n_unheld
             theirs = open_capture(path)
             read = list(theirs)
         off_mm = 1e3 * max(
@@ -99,10 +95,8 @@ def main() -> None:
         again = steps(read, theirs, at_m, 1.0)
         gain = (ours.reference_exposure or 1.0) / frames[0].exposure
         of_rounded = steps(rounded(frames, layout), ours, at_m, ours.reference_exposure)
-        name = f"{layout}{', JPEG' if form.is_jpeg else ''}"
-        name += f", colour {WIDE} times as wide" if form.colour_scale > 1 else ""
         print(
-            f"| {name} | {n_unheld} | {off_mm:.2f} | {steps_alike(first, again)} | {difference(first, again, gain)} "
+            f"| {layout} | {n_unheld} | {off_mm:.2f} | {steps_alike(first, again)} | {difference(first, again, gain)} "
             f"| {difference(of_rounded, again, gain)} |",
             flush=True,
         )

@@ -10,7 +10,7 @@ from PIL import Image
 from addon_tests.pure.made import pose_of
 from xihenet.captures.reading.values import quaternion_of
 from xihenet.captures.writing import nerfstudio, record3d, stray, tum
-from xihenet.captures.writing.pictures import Form, confidence_of, enlarged, enlarged_intrinsics, in_y_up, save_depth
+from xihenet.captures.writing.pictures import confidence_of, enlarged, in_y_up, save_depth
 from xihenet.records import Intrinsics, RgbdFrame
 
 HALF = np.array([2.0, 1.5, 1.2])
@@ -56,12 +56,12 @@ def as_nerfstudio(folder, frames):
 
 
 def as_record3d(folder, frames):
-    record3d.write(folder / "walk.r3d", frames, Form(colour_scale=4))
+    record3d.write(folder / "walk.r3d", frames)
     return folder / "walk.r3d"
 
 
 def as_stray(folder, frames):
-    stray.write(folder, frames, Form(colour_scale=2))
+    stray.write(folder, frames)
     return folder
 
 
@@ -116,12 +116,12 @@ def as_polycam(folder, frames, which="corrected_"):
     for frame in frames:
         stem = str(60_829_387_374 + round(frame.time_s * 1e6))
         for one in {which, ""}:
-            k = enlarged_intrinsics(frame.intrinsics, 4)
+            colour, k = enlarged(frame)
             said = {"width": k.width, "height": k.height, "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy}
             pose = in_y_up(frame.world_from_camera) if one == which else np.eye(4)
             said |= {f"t_{row}{column}": pose[row, column] for row in range(3) for column in range(4)}
             (keyframes / f"{one}cameras" / f"{stem}.json").write_text(json.dumps({**said, "blur_score": 81.5}))
-            Image.fromarray(enlarged(frame.srgb_u8, 4)).save(keyframes / f"{one}images" / f"{stem}.jpg", quality=95)
+            Image.fromarray(colour).save(keyframes / f"{one}images" / f"{stem}.jpg", quality=95)
         save_depth(keyframes / "depth" / f"{stem}.png", frame, 1000)
         levels = np.array([0, 127, 255], np.uint8)[confidence_of(frame)]
         Image.fromarray(levels).save(keyframes / "confidence" / f"{stem}.png")

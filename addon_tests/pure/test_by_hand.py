@@ -12,7 +12,6 @@ from xihe_blender.cli.main import main
 from xihenet.camera import unproject_frame
 from xihenet.captures import open_capture, set_by_hand
 from xihenet.captures.writing import WRITERS
-from xihenet.captures.writing.pictures import Form
 from xihenet.records import Intrinsics
 
 CAMERA = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
@@ -20,7 +19,7 @@ CAMERA = Intrinsics(64, 48, 40.0, 40.0, 32.0, 24.0)
 
 @pytest.fixture
 def folder(tmp_path):
-    WRITERS["nerfstudio"](tmp_path / "in", walk(CAMERA), Form())
+    WRITERS["nerfstudio"](tmp_path / "in", walk(CAMERA))
     return tmp_path / "in"
 
 

@@ -31,7 +31,6 @@ from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.state import scene_kept
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.captures.writing import WRITERS
-from xihenet.captures.writing.pictures import Form
 from xihenet.colour import linear_to_srgb
 from xihenet.formats import format_count
 from xihenet.io.recording import SESSION_FILE, load_frame, save_frame, write_session
@@ -40,8 +39,6 @@ from xihenet.records import RgbdFrame
 WORK = "a recording"
 TRUTH_FILE = "truth.json"
 OURS = "xihe"
-LOSSY, COLOUR_SCALE = ("record3d", "stray"), 4
-"""JPEG and video mix the colours of neighbours: as on a phone, colour has more pixels than depth there."""
 RECORD3D_FILE = "recording.r3d"
 
 
@@ -126,7 +123,7 @@ def _write(out: Path, frames: Iterator[RgbdFrame], run: PreparedRun, layout: str
         return [f"{format_count(len(run.needs.captured), 'frame')} in {out}"]
     path = out / RECORD3D_FILE if layout == "record3d" else out
     try:
-        written = WRITERS[layout](path, frames, Form(colour_scale=COLOUR_SCALE if layout in LOSSY else 1))
+        written = WRITERS[layout](path, frames)
     except (ImportError, ValueError) as error:
         raise UserError(f"--as {layout}: {error}") from error
     said = [f"{format_count(written.n_frames, 'frame')} in {path}"]

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from xihenet.captures.writing import nerfstudio, record3d, stray, tum
-from xihenet.captures.writing.pictures import Form, Written
+from xihenet.captures.writing.pictures import Written
 from xihenet.records import RgbdFrame
 
-WRITERS: dict[str, Callable[[Path, Iterable[RgbdFrame], Form], Written]] = {
+WRITERS: dict[str, Callable[[Path, Iterable[RgbdFrame]], Written]] = {
     "record3d": record3d.write,
     "nerfstudio": nerfstudio.write,
     "tum": tum.write,

@@ -8,23 +8,21 @@ from pathlib import Path
 from typing import Any
 
 from xihenet.captures.reading.nerfstudio import FILE
-from xihenet.captures.writing.pictures import USUAL, Form, Written, colour_bytes, enlarged_intrinsics, save_depth
+from xihenet.captures.writing.pictures import Written, save_depth, save_png
 from xihenet.records import RgbdFrame
 
 UNITS_PER_METRE = 1000
 
 
-def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Written:
+def write(folder: Path, frames: Iterable[RgbdFrame]) -> Written:
     """Pictures by the number of their frame, and transforms.json at the end. OSError if it cannot be written."""
-    suffix, entries, n_unheld = ".jpg" if form.is_jpeg else ".png", [], 0
+    entries, n_unheld = [], 0
     first: dict[str, Any] = {}
     for frame in frames:
-        names = f"images/{frame.frame}{suffix}", f"depth/{frame.frame}.png"
-        for name in names:
-            (folder / name).parent.mkdir(exist_ok=True, parents=True)
-        (folder / names[0]).write_bytes(colour_bytes(frame, form))
+        names = f"images/{frame.frame}.png", f"depth/{frame.frame}.png"
+        save_png(folder / names[0], frame.srgb_u8)
         n_unheld += save_depth(folder / names[1], frame, UNITS_PER_METRE)
-        k = enlarged_intrinsics(frame.intrinsics, form.colour_scale)
+        k = frame.intrinsics
         said = {"w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy}
         first = first or said
         pose = frame.world_from_camera.tolist()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xihenet.camera import valid_plane_depth
 from xihenet.captures.capture import EXTRA
@@ -15,22 +15,11 @@ from xihenet.records import ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 LARGEST_IN_16_BITS = 65534  # 65535 stands for a miss
 HIGH_CONFIDENCE = 2
+COLOUR_SCALE = 4
+"""Where a layout's JPEG or video mixes the colours of neighbours, colour is so many times as wide and high as depth, by
+repeating pixels: that of a phone is larger too."""
+
 Y_UP_FROM_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-JPEG_QUALITY = 95
-
-
-@dataclass(frozen=True)
-class Form:
-    """How pictures are stored, where a layout leaves it open."""
-
-    colour_scale: int = 1
-    """Colour is so many times as wide and high as depth, by repeating pixels: that of a phone is larger."""
-
-    is_jpeg: bool = False
-    """Colour as JPEG where the layout may have PNG as well."""
-
-
-USUAL = Form()
 
 
 @dataclass(frozen=True)
@@ -50,25 +39,17 @@ def pillow() -> Any:
     return Image
 
 
-def enlarged(image: ArrayU8, scale: int) -> ArrayU8:
-    """(H, W, 3) with each pixel `scale` times in a row and as many in a column."""
-    return image if scale == 1 else image.repeat(scale, axis=0).repeat(scale, axis=1)
+def enlarged(frame: RgbdFrame) -> tuple[ArrayU8, Intrinsics]:
+    """Colour with each pixel `COLOUR_SCALE` times in a row and as many in a column, and the intrinsics of that."""
+    k, n = frame.intrinsics, COLOUR_SCALE
+    intrinsics = Intrinsics(k.width * n, k.height * n, k.fx * n, k.fy * n, k.cx * n, k.cy * n)
+    return frame.srgb_u8.repeat(n, axis=0).repeat(n, axis=1), intrinsics
 
 
-def enlarged_intrinsics(k: Intrinsics, scale: int) -> Intrinsics:
-    """Of the same field in `scale` times as many pixels along each side."""
-    return Intrinsics(k.width * scale, k.height * scale, k.fx * scale, k.fy * scale, k.cx * scale, k.cy * scale)
-
-
-def colour_bytes(frame: RgbdFrame, form: Form) -> bytes:
-    """Content of an image file, JPEG or PNG."""
-    image, file = pillow().fromarray(enlarged(frame.srgb_u8, form.colour_scale)), io.BytesIO()
-    if form.is_jpeg:
-        # Colour in half as many pixels, as usual, moves the light of a dark room by 3.8 % in place of 0.7 %.
-        image.save(file, format="JPEG", quality=JPEG_QUALITY, subsampling="4:4:4")
-    else:
-        image.save(file, format="PNG", compress_level=1)
-    return file.getvalue()
+def save_png(path: Path, pixels: ArrayU8 | NDArray[np.uint16]) -> None:
+    """Write an image, without loss; its folder is made if it is not there."""
+    path.parent.mkdir(exist_ok=True, parents=True)
+    pillow().fromarray(pixels).save(path, compress_level=1)
 
 
 def save_depth(path: Path, frame: RgbdFrame, units_per_metre: float) -> int:
@@ -76,7 +57,7 @@ def save_depth(path: Path, frame: RgbdFrame, units_per_metre: float) -> int:
     valid = valid_plane_depth(frame.plane_depth_m)
     units = np.rint(np.where(valid, frame.plane_depth_m, 0).astype(np.float64) * units_per_metre)
     fits = (units >= 1) & (units <= LARGEST_IN_16_BITS)
-    pillow().fromarray(np.where(fits, units, 0).astype(np.uint16)).save(path, compress_level=1)
+    save_png(path, np.where(fits, units, 0).astype(np.uint16))
     return int(np.count_nonzero(valid & ~fits))
 
 

@@ -1,7 +1,7 @@
 """Frames as the app Stray Scanner has them; the layout is that of `xihenet.captures.reading.stray`.
 
-The video is HEVC, as the app's is, or H.264 where PyAV has no encoder for that or the pictures are too small for it:
-they are near what they were, and not the same.
+The video is HEVC, as the app's is, or H.264 where PyAV has no encoder for that: pictures are near what they were, and
+not the same.
 """
 
 from __future__ import annotations
@@ -18,47 +18,34 @@ from xihenet.captures.capture import EXTRA
 from xihenet.captures.reading.stray import COLUMNS, INTRINSICS, MATRIX, ODOMETRY, VIDEO
 from xihenet.captures.reading.values import quaternion_of
 from xihenet.captures.reading.video import EXACTLY
-from xihenet.captures.writing.pictures import (
-    USUAL,
-    Form,
-    Written,
-    confidence_of,
-    enlarged,
-    enlarged_intrinsics,
-    in_y_up,
-    pillow,
-    save_depth,
-)
+from xihenet.captures.writing.pictures import Written, confidence_of, enlarged, in_y_up, save_depth, save_png
 from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA
 from xihenet.records import RgbdFrame
 
 UNITS_PER_METRE, FPS = 1000, 30
 # Without pictures between pictures, as phones record: with them short videos could not be written, at times.
 ENCODERS = {"libx265": {"x265-params": "log-level=none:bframes=0:rc-lookahead=10:frame-threads=2"}, "libx264": {}}
-SMALLEST_OF_X265 = 16  # Pixels along a side
 PRESET = "veryfast"  # The default takes nearly three times as long, 0.65 s for 1792x1344 on two busy cores
 QUALITY = "4"  # Constant rate factor; 12 takes half the bytes, and moves the light of a room by 1.3 % in place of 0.9 %
 BT709, LIMITED = 1, 1  # As phones say, in the numbers of ITU-T H.273
 
 
-def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Written:
+def write(folder: Path, frames: Iterable[RgbdFrame]) -> Written:
     """A folder, with intrinsics on each line of odometry.csv, as newer recordings have.
 
-    OSError if it cannot be written; ValueError for frames of several sizes or none, or with an odd number of pixels
-    along a side of the video; ImportError without PyAV.
+    OSError if it cannot be written; ValueError for frames of several sizes or none; ImportError without PyAV.
     """
-    for name in ("depth", "confidence"):
-        (folder / name).mkdir(exist_ok=True, parents=True)
+    folder.mkdir(exist_ok=True, parents=True)
     n, n_unheld, k = 0, 0, None
     with _video(folder / VIDEO) as encode, (folder / ODOMETRY).open("w", encoding="utf-8") as odometry:
         odometry.write(", ".join(COLUMNS + INTRINSICS) + "\n")
         for n, frame in enumerate(frames, start=1):
             number = f"{n - 1:06d}"
-            encode(enlarged(frame.srgb_u8, form.colour_scale))
+            colour, k = enlarged(frame)
+            encode(colour)
             n_unheld += save_depth(folder / "depth" / f"{number}.png", frame, UNITS_PER_METRE)
-            pillow().fromarray(confidence_of(frame)).save(folder / "confidence" / f"{number}.png")
+            save_png(folder / "confidence" / f"{number}.png", confidence_of(frame))
             pose = in_y_up(frame.world_from_camera) @ BLENDER_FROM_OPENCV_CAMERA
-            k = enlarged_intrinsics(frame.intrinsics, form.colour_scale)
             values = [*pose[:3, 3], *quaternion_of(pose[:3, :3]), k.fx, k.fy, k.cx, k.cy]
             line = ", ".join(f"{value:.9f}" for value in values)
             odometry.write(f"{frame.time_s:.6f}, {number}, {line}\n")
@@ -101,10 +88,7 @@ def _video(path: Path) -> Iterator[Any]:
 
 def _begun(container: Any, width: int, height: int, available: Collection[str]) -> Any:
     """A stream of pictures of that size."""
-    if width % 2 or height % 2:
-        raise ValueError(f"Stray Scanner: a video has even sizes, got {width}x{height} pixels: double the colour's")
-    too_small = {"libx265"} if min(width, height) < SMALLEST_OF_X265 else set()
-    names = [name for name in ENCODERS if name in available and name not in too_small]
+    names = [name for name in ENCODERS if name in available]
     if not names:
         raise ValueError("Stray Scanner: PyAV has no encoder for HEVC or H.264 here: write another layout")
     stream = container.add_stream(names[0], rate=FPS, options={"crf": QUALITY, "preset": PRESET, **ENCODERS[names[0]]})

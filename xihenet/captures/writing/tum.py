@@ -14,7 +14,7 @@ import numpy as np
 
 from xihenet.captures.reading.tum import CAMERA, CAMERA_KEYS, FILES, INTRINSICS, METRES_PER_UNIT
 from xihenet.captures.reading.values import quaternion_of
-from xihenet.captures.writing.pictures import USUAL, Form, Written, colour_bytes, save_depth
+from xihenet.captures.writing.pictures import Written, save_depth, save_png
 from xihenet.io.frame_files import BLENDER_FROM_OPENCV_CAMERA
 from xihenet.records import Intrinsics, RgbdFrame
 
@@ -22,7 +22,7 @@ TOLERANCE = 1e-3
 SHORTEST_S = 1e-4  # Between two frames, whose files are named by their times
 
 
-def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Written:
+def write(folder: Path, frames: Iterable[RgbdFrame]) -> Written:
     """Pictures by their time, and the lists at the end. OSError if it cannot be written.
 
     ValueError for intrinsics that change, and for times that do not rise.
@@ -36,10 +36,8 @@ def write(folder: Path, frames: Iterable[RgbdFrame], form: Form = USUAL) -> Writ
         if frame.time_s - last_s < SHORTEST_S:
             raise ValueError(f"TUM RGB-D: expected times that rise by {SHORTEST_S:g} s, got {frame.time_s:g} s")
         last_s, time = frame.time_s, f"{frame.time_s:.6f}"
-        names = f"rgb/{time}{'.jpg' if form.is_jpeg else '.png'}", f"depth/{time}.png"
-        for name in names:
-            (folder / name).parent.mkdir(exist_ok=True, parents=True)
-        (folder / names[0]).write_bytes(colour_bytes(frame, form))
+        names = f"rgb/{time}.png", f"depth/{time}.png"
+        save_png(folder / names[0], frame.srgb_u8)
         n_unheld += save_depth(folder / names[1], frame, 1 / METRES_PER_UNIT)
         pose = frame.world_from_camera @ BLENDER_FROM_OPENCV_CAMERA
         values = (*pose[:3, 3], *quaternion_of(pose[:3, :3]))
