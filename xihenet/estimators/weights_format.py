@@ -2,9 +2,9 @@
 
 One .npz: named float16 or float32 arrays and a JSON header (format version, estimator, architecture, target, data,
 seed, figures, points). One reader and one writer serve all networks; what their sizes mean stands with each of them.
-Sizes are in the header, so the shape of every array is known before it is read, and whatever does not fit is refused
-with the file's name: a silent wrong light is worse than none. Rejected: torch's own format, which needs torch and runs
-code when it is read.
+Sizes are in the header, so the shape of every array is known, and whatever does not fit is refused with the file's
+name: a silent wrong light is worse than none. Rejected: torch's own format, which needs torch and runs code when it is
+read.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from xihenet.estimators import is_outside, kind
 from xihenet.estimators.base import Estimator, Target
 from xihenet.io.json_files import parse_json
-from xihenet.io.npz_files import npz_sizes, read_npz
+from xihenet.io.npz_files import read_npz
 from xihenet.io.whole_files import written_whole
 from xihenet.records import ArrayF32
 
@@ -33,12 +32,6 @@ WEIGHTS_FOLDER = Path(__file__).resolve().parents[1] / "weights"
 """Where the shipped ones lie, as `<estimator>_<target>.npz`."""
 
 IN_HEADER = ("estimator", "architecture", "target", "data", "seed", "figures", "n_points")
-
-# Bytes:
-LARGEST_HEADER = 2**20  # the shipped ones take 2300
-LARGEST_NETWORK = 2**27  # all arrays; the largest that is shipped takes 6 MB
-LARGEST_NPY_HEADER = 1024  # before the numbers of an array: 128, of longer shapes a few more
-FLOAT32_BYTES = 4
 
 
 class Architecture(Protocol):
@@ -103,16 +96,13 @@ def read_weights(
     ValueError naming the file and what was expected, also if it is missing.
     """
     try:
-        sizes = npz_sizes(path)
-        _check_size("header", sizes.get("header", 0), LARGEST_HEADER)
-        stored = read_npz(path, {"header"})
+        stored = read_npz(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{path}: expected an .npz of {estimator} weights ({error})") from None
     try:
         header = _header_from(stored, estimator)
         architecture = architecture_from(dict(header["architecture"]))
-        _check_sizes(sizes, architecture.array_shapes())
-        return _weights_from(read_npz(path, architecture.array_shapes()), header, architecture)
+        return _weights_from(stored, header, architecture)
     except (OSError, ValueError, TypeError, KeyError, OverflowError) as error:
         raise ValueError(f"{path}: not the {estimator} weights this version reads: {error}") from None
 
@@ -149,27 +139,14 @@ def loaded_for(
     return loaded
 
 
-def _check_sizes(sizes: Mapping[str, int], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """ValueError unless the file holds these arrays alone, none larger than its shape says: nothing is unpacked yet."""
-    if set(sizes) - {"header"} != set(shapes):
-        raise ValueError(f"arrays: expected {sorted(shapes)}, got {sorted(set(sizes) - {'header'})[:100]}")
-    _check_size("all arrays", sum(map(math.prod, shapes.values())) * FLOAT32_BYTES, LARGEST_NETWORK)
-    for name, shape in shapes.items():
-        _check_size(name, sizes[name], math.prod(shape) * FLOAT32_BYTES + LARGEST_NPY_HEADER)
-
-
-def _check_size(name: str, n_bytes: int, most: int) -> None:
-    if n_bytes > most:
-        raise ValueError(f"{name}: expected {most} bytes at most, got {n_bytes}")
-
-
 def _weights_from(
     content: dict[str, NDArray[Any]], header: dict[str, Any], architecture: AnyArchitecture
 ) -> NetworkWeights[AnyArchitecture]:
-    for name, array in content.items():
+    stored = {name: array for name, array in content.items() if name != "header"}
+    for name, array in stored.items():
         if array.dtype not in (np.float16, np.float32):
             raise ValueError(f"{name}: expected float16 or float32, got {array.dtype}")
-    arrays = {name: np.asarray(array, np.float32) for name, array in content.items()}
+    arrays = {name: np.asarray(array, np.float32) for name, array in stored.items()}
     notes = {name: header[name] for name in ("data", "seed", "figures", "estimator", "n_points") if name in header}
     if not isinstance(notes.get("figures", {}), dict):
         raise ValueError(f"figures: expected a JSON object, got {notes['figures']!r:.80}")

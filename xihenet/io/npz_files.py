@@ -2,18 +2,16 @@
 
 NumPy lets whatever goes wrong inside a file come out as what it is deep down: a broken zip or header, a shape larger
 than memory, a member that is encrypted or packed by a method that is not there. Here all of it is one ValueError.
-Nothing is unpickled, so no file can run code. A small file may hold zeros without end: whoever knows how large arrays
-may be asks `npz_sizes` first, which no unpacked array exceeds.
+Nothing is unpickled, so no file can run code.
 """
 
 from __future__ import annotations
 
-import contextlib
 import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -38,25 +36,13 @@ BROKEN_FILE = (
 """What NumPy and zipfile were seen to raise, or say that they raise, for files that are none."""
 
 
-@contextlib.contextmanager
-def _errors_of_file() -> Iterator[None]:
-    try:
-        yield
-    except BROKEN_FILE as error:
-        raise ValueError(f"not a sound .npz file ({type(error).__name__}: {error})") from None
-
-
-def npz_sizes(path: Path) -> dict[str, int]:
-    """Bytes that each array of the file takes unpacked, by name, without unpacking any. Raises as `read_npz`."""
-    with _errors_of_file(), zipfile.ZipFile(path) as archive:
-        members = sorted((one.filename.removesuffix(".npy"), one.file_size) for one in archive.infolist())
-        return dict(members)  # of two with one name the larger: NumPy decides which of them it reads
-
-
 def read_npz(path: Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
     """The arrays of the file by name: all, or those of `names` that it has; others are not even unpacked.
 
     ValueError if it is no sound .npz, OSError if it cannot be read.
     """
-    with _errors_of_file(), path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-        return {name: stored[name] for name in stored.files if names is None or name in names}
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files if names is None or name in names}
+    except BROKEN_FILE as error:
+        raise ValueError(f"not a sound .npz file ({type(error).__name__}: {error})") from None
