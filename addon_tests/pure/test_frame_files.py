@@ -407,13 +407,6 @@ def test_a_picture_with_too_many_pixels_is_refused_by_its_header(tmp_path, camer
         read_frame(path, camera)
 
 
-def test_a_jpeg_of_more_scans_than_encoders_make_is_refused(tmp_path, camera, plane_depth):
-    path = write_image(tmp_path / "colour.jpg", COLOUR)
-    path.write_bytes(path.read_bytes() + b"\xff\xda\0\2" * 100)
-    with pytest.raises(ValueError, match=r"colour\.jpg: it has more than 64 scans: save it as a plain JPEG"):
-        read_frame(path, camera, plane_depth=plane_depth)
-
-
 @NEEDS_OPENEXR
 def test_what_the_openexr_package_would_unpack_into_gigabytes_is_not_given_to_it(tmp_path, camera, monkeypatch):
     path = write_by_package(tmp_path / "frame.exr", dict.fromkeys("RGBZ", PLANE_DEPTH_M), "RLE")

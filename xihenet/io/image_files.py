@@ -26,7 +26,6 @@ from xihenet.records import ArrayF32, ArrayF64, ArrayU8
 # Those that take no more than ten bytes a pixel to read (a progressive JPEG); WebP takes sixteen.
 IMAGE_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "PPM")
 
-START_OF_SCAN, MOST_SCANS = b"\xff\xda", 64  # Encoders make some ten; phones' files of several pictures have more
 PIXELS_IN_STRIP, MOST_ROWS_IN_STRIP = 2**19, 128
 LINEAR_BY_BYTE = LINEAR_OF_CODE.astype(np.float32)
 NONE_IN_16_BITS = 65535
@@ -187,10 +186,6 @@ def _loading(path: Path, content: bytes | None = None) -> Iterator[Any]:
             image = Image.open(file, formats=IMAGE_FORMATS)
         check_size(path, image.height, image.width)
         yield image
-        # Each scan of a progressive JPEG goes over all pixels, and an empty one takes ten bytes.
-        is_jpeg = image.format in ("JPEG", "MPO")
-        if is_jpeg and (content or path.read_bytes()).count(START_OF_SCAN) > MOST_SCANS:
-            raise ValueError(f"{path}: it has more than {MOST_SCANS} scans: save it as a plain JPEG")
         with _image_errors(path):
             image.load()
             orientation = image.getexif().get(ORIENTATION_TAG, 1)
