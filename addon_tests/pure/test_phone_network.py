@@ -12,7 +12,6 @@ from xihenet.phone.network import (
     EstimatesUnderWay,
     Link,
     arrival_frames,
-    first_frame_after,
 )
 from xihenet.records import LightEstimate
 
@@ -65,10 +64,6 @@ def test_a_phone_that_estimates_itself_waits_for_nothing():
 def test_negative_payloads_are_refused():
     with pytest.raises(ValueError, match="0 or more bytes"):
         arrival_frames([0.0], -1, lossy(0.1), np.random.default_rng(0))
-
-
-def test_an_estimate_lights_the_first_frame_at_or_after_its_arrival():
-    assert first_frame_after([0.0, 0.01, 0.1, 0.11, np.inf], [0.0, 0.1, 0.2]).tolist() == [0, 1, 1, 2, 3]
 
 
 def test_a_link_faster_than_its_floor_is_refused():

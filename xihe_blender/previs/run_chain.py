@@ -14,6 +14,7 @@ session (`xihenet.phone.session`); estimates come back over its network.
 
 from __future__ import annotations
 
+import bisect
 import functools
 import itertools
 import time
@@ -44,7 +45,7 @@ from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.light.key_light import with_positions
 from xihenet.metrics import share_above_white, shc_rmse
-from xihenet.phone import Request, first_frame_after
+from xihenet.phone import Request
 from xihenet.phone.session import PhoneSession
 from xihenet.records import ArrayF64, ObjectLight, RgbdFrame, StepReport
 
@@ -335,7 +336,7 @@ def _arrival(request: Request | None, times_s: Mapping[int, float]) -> tuple[int
     if request is None:
         return None, None
     frames = list(times_s)
-    index = int(first_frame_after([request.arrival_s], list(times_s.values()))[0])
+    index = bisect.bisect_left(list(times_s.values()), request.arrival_s)
     latency_s = request.latency_s
     return frames[index] if index < len(frames) else None, None if latency_s is None else 1e3 * latency_s
 

@@ -8,12 +8,12 @@ from xihenet.phone.camera_chain import PhoneCamera, SessionTrack
 from xihenet.phone.depth_dropout import SurfaceFacts
 from xihenet.phone.frame_facts import FrameFacts, facts_of_frame, facts_of_session
 from xihenet.phone.motion import CameraMotion, motion_between
-from xihenet.phone.network import LINKS, EstimatesUnderWay, Link, Request, arrival_frames, first_frame_after
+from xihenet.phone.network import LINKS, EstimatesUnderWay, Link, Request, arrival_frames
 from xihenet.phone.profile import EFFECTS, NETWORK, PHONE_EFFECTS, PhoneProfile, load_profile, profile_names
 from xihenet.phone.settings import SessionFacts
 
 __all__ = [
     "EFFECTS", "LINKS", "NETWORK", "PHONE_EFFECTS", "CameraMotion", "EstimatesUnderWay", "FrameFacts", "Link",
     "PhoneCamera", "PhoneProfile", "Request", "SessionFacts", "SessionTrack", "SurfaceFacts", "arrival_frames",
-    "facts_of_frame", "facts_of_session", "first_frame_after", "load_profile", "motion_between", "profile_names",
+    "facts_of_frame", "facts_of_session", "load_profile", "motion_between", "profile_names",
 ]  # fmt: skip

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.phone.settings import Required, Section, SessionFacts, known, number, text
-from xihenet.records import ArrayF64, ArrayInt, LightEstimate
+from xihenet.records import ArrayF64, LightEstimate
 
 REFERENCE_PAYLOAD_BYTES = 4249
 """One cloud of 1280 anchors, uint8 and float16, stripped: the paper's average, of which its network times are."""
@@ -123,11 +123,6 @@ def arrival_frames(
     n_resent = np.where(gets_through.any(axis=-1), gets_through.argmax(axis=-1), np.inf)
     waited_s = np.multiply(n_resent, link.resend_s, out=np.full(asked_s.shape, np.inf), where=np.isfinite(n_resent))
     return asked_s + link.processing_s + network_s + extra_s + waited_s
-
-
-def first_frame_after(arrivals_s: ArrayLike, frame_times_s: Sequence[float]) -> ArrayInt:
-    """(N,) index of the first frame, of ascending times, at or after each arrival; the number of frames if none is."""
-    return np.searchsorted(np.asarray(frame_times_s, np.float64), np.asarray(arrivals_s, np.float64), side="left")
 
 
 @dataclass(frozen=True, eq=False)
