@@ -59,7 +59,7 @@ from xihenet.camera import project_points, unproject_frame
 from xihenet.captures import open_capture
 from xihenet.captures.drift import steadied
 from xihenet.captures.replay import REPLAY_TRIGGER, never_in_view, replay
-from xihenet.captures.scan import Scan, ScanSettings
+from xihenet.captures.scan import Scan
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.io.recording import SessionFacts, SessionRecorder
 from xihenet.records import Intrinsics
@@ -76,7 +76,7 @@ SCAN = "xihe_blender.footage.import_capture.Scan"
 def few_faces():
     """Recordings are scanned three times as coarsely as they are for a user, at a fifth of the time."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SCAN, partial(Scan, settings=ScanSettings(voxel_m=0.06)))
+        patch.setattr(SCAN, partial(Scan, voxel_m=0.06))
         yield
 
 

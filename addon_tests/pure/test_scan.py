@@ -7,7 +7,7 @@ import pytest
 
 from addon_tests.pure.recordings import HALF, looking, seen, walk
 from xihenet.captures import scan as scans
-from xihenet.captures.scan import Scan, ScanSettings
+from xihenet.captures.scan import Scan
 from xihenet.records import Intrinsics, RgbdFrame
 
 K = Intrinsics(128, 96, 100.0, 100.0, 64.0, 48.0)
@@ -121,7 +121,7 @@ def test_a_scan_that_grows_too_large_is_cut_and_says_so(monkeypatch):
     monkeypatch.setattr(scans, "MOST_BLOCKS", 100)
     mesh = mesh_of(walk(K, 4))
     assert mesh.is_cut and len(mesh.quads)
-    assert not mesh_of(walk(K, 1), settings=ScanSettings(voxel_m=0.1)).is_cut
+    assert not mesh_of(walk(K, 1), voxel_m=0.1).is_cut
 
 
 def test_large_frames_are_thinned_to_the_same_surfaces():

@@ -50,26 +50,15 @@ SMALLEST_PIECE = 25
 BLOCKS_AT_ONCE = 64
 """What the passes over their voxels touch stays in the cache."""
 
+REACH_VOXELS = 3.0
+"""So far from a surface distances are averaged, on both sides."""
+
 OFFSET = 0.37
 """Of voxels from multiples of their distance: on modelled walls, which like to lie at these, every distance would be 0,
 and its sign that of an error of rounding."""
 
 _BITS, _ZERO = 21, 1 << 20
 """Of each coordinate in a key, and what stands for 0."""
-
-
-@dataclass(frozen=True)
-class ScanSettings:
-    """How depth becomes a mesh.
-
-    Parameters
-    ----------
-    voxel_m : distance between voxels, metres
-    reach_voxels : so far from a surface distances are averaged, on both sides
-    """
-
-    voxel_m: float = 0.02
-    reach_voxels: float = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +81,10 @@ class ScanMesh:
 
 @dataclass(eq=False)
 class Scan:
-    """Surfaces that frames have shown so far; colours carry `exposure`."""
+    """Surfaces that frames have shown so far, by voxels `voxel_m` apart; colours carry `exposure`."""
 
     exposure: float = 1.0
-    settings: ScanSettings = ScanSettings()
+    voxel_m: float = 0.02
     is_cut: bool = False
     origin_m: ArrayF64 = field(default_factory=lambda: np.zeros(3))
     """(3,) world: amid the recording. Surfaces beyond some kilometres from there are left out."""
@@ -109,9 +98,13 @@ class Scan:
     """Weighted sums of linear light, and of weights."""
 
     @property
+    def _reach_m(self) -> float:
+        return self.voxel_m * REACH_VOXELS
+
+    @property
     def _origin(self) -> ArrayInt:
         """(3,) the block from which all others are counted, so that keys hold them wherever a recording lies."""
-        return np.floor(self.origin_m / (self.settings.voxel_m * SIDE)).astype(np.int64)
+        return np.floor(self.origin_m / (self.voxel_m * SIDE)).astype(np.int64)
 
     def add(self, frame: RgbdFrame) -> None:
         """Take in what one frame shows; nothing where it has no valid depth."""
@@ -119,27 +112,26 @@ class Scan:
         slots = self._touched(seen)
         if not len(slots):
             return
-        reach_m = self.settings.voxel_m * self.settings.reach_voxels
-        ends_m = seen.ends_m(reach_m)
+        ends_m = seen.ends_m(self._reach_m)
         for start in range(0, len(slots), BLOCKS_AT_ONCE):
             part = slots[start : start + BLOCKS_AT_ONCE]
-            corners_m = ((self._blocks[part] + self._origin) * SIDE + OFFSET) * self.settings.voxel_m
-            self._average(seen, part, corners_m, reach_m, ends_m)
+            corners_m = ((self._blocks[part] + self._origin) * SIDE + OFFSET) * self.voxel_m
+            self._average(seen, part, corners_m, ends_m)
 
-    def _average(self, seen: _Seen, slots: ArrayInt, corners_m: ArrayF64, reach_m: float, ends_m: ArrayF32) -> None:
+    def _average(self, seen: _Seen, slots: ArrayInt, corners_m: ArrayF64, ends_m: ArrayF32) -> None:
         """Take in what a frame shows of the blocks at these places, with these corners (K, 3)."""
         local = np.indices((SIDE, SIDE, SIDE)).reshape(3, -1)
         axes = seen.world_from_camera[:3, :3]
         corners = (axes.T @ (corners_m - seen.world_from_camera[:3, 3]).T).astype(np.float32)
-        points = corners[:, :, None] + (axes.T @ local * self.settings.voxel_m).astype(np.float32)[:, None]
+        points = corners[:, :, None] + (axes.T @ local * self.voxel_m).astype(np.float32)[:, None]
         points = points.reshape(3, -1)
-        voxels, distances_m, weights, pixels = seen.distances(points, reach_m, ends_m)
+        voxels, distances_m, weights, pixels = seen.distances(points, self._reach_m, ends_m)
         voxels = slots[voxels // SIDE**3] * SIDE**3 + voxels % SIDE**3
         known, total = self._distances.reshape(-1), self._weights.reshape(-1)
         before, after = known[voxels], total[voxels] + weights
         known[voxels] = before + (distances_m - before) * weights / after
         total[voxels] = after
-        near = np.flatnonzero(np.abs(distances_m) < reach_m)
+        near = np.flatnonzero(np.abs(distances_m) < self._reach_m)
         coloured = seen.light.take(pixels[near], axis=0)
         coloured *= weights[near].repeat(4).reshape(-1, 4)  # Faster than one factor for each four
         self._colours.reshape(-1, 4)[voxels[near]] += coloured
@@ -147,9 +139,9 @@ class Scan:
     def _touched(self, seen: _Seen) -> ArrayInt:
         """Places of the blocks around the surfaces of a frame, made where they are new."""
         points_m, rays = seen.surface_points()
-        reach_m, side_m = self.settings.voxel_m * self.settings.reach_voxels, self.settings.voxel_m * SIDE
+        side_m = self.voxel_m * SIDE
         keys: set[int] = set()
-        for along_m in (-reach_m, 0.0, reach_m):
+        for along_m in (-self._reach_m, 0.0, self._reach_m):
             blocks = np.floor((points_m + along_m * rays) / side_m - OFFSET / SIDE) - self._origin
             is_inside = (np.abs(blocks) < _ZERO // SIDE).all(axis=1)
             keys |= set(np.unique(_keys(blocks[is_inside].astype(np.int64))).tolist())
@@ -172,9 +164,8 @@ class Scan:
     def mesh(self) -> ScanMesh:
         """All surfaces so far; empty where there is none."""
         n, cube = len(self._slots), (len(self._slots), SIDE, SIDE, SIDE)
-        reach_m = self.settings.voxel_m * self.settings.reach_voxels
         distances = self._distances[:n].reshape(cube)
-        is_near = (self._weights[:n].reshape(cube) > 0) & (np.abs(distances) < 0.99 * reach_m)
+        is_near = (self._weights[:n].reshape(cube) > 0) & (np.abs(distances) < 0.99 * self._reach_m)
         colours = self._colours[:n].reshape(-1, 4)
         crossings = [self._crossings(axis, distances, is_near, colours) for axis in range(3)]
         cells = np.concatenate([crossing.cells for crossing in crossings])
@@ -184,7 +175,7 @@ class Scan:
         n_around = np.bincount(quads.ravel(), minlength=len(keys))
         sums = [np.bincount(quads.ravel(), values.repeat(4), len(keys)) for values in of_edges.T]
         found = np.stack(sums, axis=1) / n_around[:, None] if len(keys) else np.zeros((0, 6))
-        points_m, light = (found[:, :3] + self._origin * SIDE + OFFSET) * self.settings.voxel_m, found[:, 3:]
+        points_m, light = (found[:, :3] + self._origin * SIDE + OFFSET) * self.voxel_m, found[:, 3:]
         return _without_pieces(ScanMesh(points_m.astype(np.float32), quads, light.astype(np.float32), self.is_cut))
 
     def _crossings(self, axis: int, distances: ArrayF32, is_near: ArrayBool, colours: ArrayF32) -> _Crossings:
