@@ -34,8 +34,6 @@ COMPRESSIONS = (
 ROWS_IN_CHUNK = {"none": 1, "ZIPS": 1, "ZIP": 16}  # Rows that are stored together, where they can be read here
 TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
 MAX_SHORT_NAME = 31
-# Bytes, and how many times the file's: a small file that says that it holds more than both is not unpacked.
-LARGEST_UNPACKED, LARGEST_RATIO = 2**28, 100
 
 UNPACKED_TOGETHER = 256  # Rows without compression that are read at once: one by one takes longer than their pixels do
 
@@ -134,7 +132,7 @@ def read_exr(
     that are not there are left out, None reads all; parts of more than `most_pixels` are thinned, see `picked_pixels`.
 
     OSError if the file cannot be opened; OtherExr if it is tiled, deep, subsampled or compressed otherwise than with
-    ZIP; ValueError if it is no OpenEXR file, is cut short, is broken or is a small file that holds gigabytes.
+    ZIP; ValueError if it is no OpenEXR file, is cut short or is broken.
     """
     content = _content(path)
     with _errors_of(path):
@@ -330,8 +328,6 @@ def _chunks(content: bytes, part: _Part, offsets: list[int], number: int | None)
     # A header may promise more than there can be: no compression makes anything a thousand times smaller.
     if size > 1100 * len(content):
         raise ValueError("the pixels are missing")
-    if size > max(LARGEST_UNPACKED, LARGEST_RATIO * len(content)):
-        raise TooLarge(f"its pixels take {size >> 20} MB, more than {LARGEST_RATIO} times the file: save it smaller")
     if part.compression == "none":
         yield from _rows_as_they_are(content, part, offsets, number)
         return
