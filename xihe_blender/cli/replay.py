@@ -369,7 +369,7 @@ def _write(
 def _pictures(place: Place) -> tuple[bytes, bytes]:
     """PNG files of the sphere as it was seen, and of the last light."""
     assert place.cloud is not None
-    return encode_png(seen_picture(place.cloud, 128)), _light_png(place, panorama_height=128, margin=8)
+    return encode_png(seen_picture(place.cloud, 128)), _light_png(place, panorama_height=128)
 
 
 def _light_png(place: Place, **drawn: int) -> bytes:

@@ -89,18 +89,16 @@ def three_spheres(sh_radiance: ArrayLike, size: int) -> ArrayF64:
     return pictures
 
 
-def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256, margin: int = 16) -> ArrayU8:
+def light_picture(sh_radiance: ArrayLike, *, panorama_height: int = 256) -> ArrayU8:
     """One picture of a light: its panorama, twice as wide as high, and the three spheres in a row beneath it.
 
-    `sh_radiance` (9, 3) are radiance coefficients carrying an exposure, as estimates do; the margin is around and
-    between the pictures, in pixels. (H, W, 3) uint8 sRGB on neutral grey, as Blender's Standard view shows it: clipped
-    at 1, negative light as black. ValueError for another shape, NaN, infinity, or no room for three spheres.
+    `sh_radiance` (9, 3) are radiance coefficients carrying an exposure, as estimates do. (H, W, 3) uint8 sRGB on
+    neutral grey, a sixteenth of the height around and between the pictures, as Blender's Standard view shows it:
+    clipped at 1, negative light as black. ValueError for another shape, NaN or infinity.
     """
     light = _checked_order_2(sh_radiance)
-    width = 2 * panorama_height
+    width, margin = 2 * panorama_height, panorama_height // 16
     size = (width - 2 * margin) // 3
-    if size < 1 or margin < 0:
-        raise ValueError(f"light_picture: no room for spheres in {width} pixels with margins of {margin}")
     grey = float(srgb_to_linear(BACKGROUND))
     page = np.full((panorama_height + size + 3 * margin, width + 2 * margin, 3), grey)
     page[margin : margin + panorama_height, margin : margin + width] = evaluate_panorama(light, panorama_height, width)
