@@ -6,7 +6,7 @@ import pytest
 from addon_tests.pure.made import frame_of
 from xihenet.camera import encode_exposed
 from xihenet.colour import srgb_to_linear
-from xihenet.phone.exposure import AutoExposure, FrameRate, delivered_frames, expose, follow_exposure, step_exposure
+from xihenet.phone.exposure import AutoExposure, FrameRate, delivered_frames, expose, follow_exposure
 
 AUTO = AutoExposure(source="test", time_constant_s=0.5, darkest_stops=3, brightest_stops=2)
 TIMES_S = np.arange(30) / 30
@@ -18,7 +18,7 @@ def seen(srgb_u8, exposure=1.0):
 
 @pytest.mark.parametrize("n", [0.5, 1, 2])
 def test_exposure_goes_63_percent_of_the_way_in_each_time_constant(n):
-    later = step_exposure(1.0, 2.0, 0.5 * n, reference=1.0, settings=AUTO)
+    later = follow_exposure([0, 0, 0.5 * n], [1, 2, 2], reference=1.0, settings=AUTO)[-1]
     assert np.log2(later) == pytest.approx(1 - np.exp(-n))
 
 
@@ -45,7 +45,7 @@ def test_no_time_constant_follows_at_once_one_frame_late():
 @pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
 def test_an_exposure_that_is_no_positive_number_is_refused(wrong):
     with pytest.raises(ValueError, match="expected positive exposures"):
-        step_exposure(1.0, wrong, 0.1, reference=1.0, settings=AUTO)
+        follow_exposure([0, 0.1], [1.0, wrong], reference=1.0, settings=AUTO)
 
 
 def test_time_must_go_on():

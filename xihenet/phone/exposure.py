@@ -66,22 +66,6 @@ class AutoExposure(Section):
         return stops > SMALL_STOPS, f"along the path the brightness changes by {stops:.1f} stops"
 
 
-def step_exposure(
-    exposure: float, wanted: float, elapsed_s: float, *, reference: float, settings: AutoExposure
-) -> float:
-    """The exposure `elapsed_s` after `exposure`, when metering asks for `wanted`.
-
-    All exposures are positive factors on linear radiance; ValueError otherwise, or if time runs backwards.
-    """
-    if not all(math.isfinite(e) and e > 0 for e in (exposure, wanted, reference)):
-        raise ValueError(f"step_exposure: expected positive exposures, got {exposure}, {wanted} and {reference}")
-    if not elapsed_s >= 0:
-        raise ValueError(f"step_exposure: expected time to go on, got {elapsed_s} s")
-    target = _clamped(wanted, reference, settings)
-    left = math.exp(-elapsed_s / settings.time_constant_s) if settings.time_constant_s else 0.0
-    return _clamped(target * math.pow(exposure / target, left), reference, settings)
-
-
 def follow_exposure(
     times_s: Sequence[float], metered: Sequence[float], *, reference: float, settings: AutoExposure
 ) -> ArrayF64:
@@ -89,15 +73,22 @@ def follow_exposure(
 
     `times_s` (N,) never decrease; `metered` (N,) is what each frame's own light asks for, as `metered_exposure`
     gives it; clamps lie around `reference`, the session's exposure. The first frame is metered well (a phone's preview
-    ran before); each later one only knows the frames before it.
+    ran before); each later one only knows the frames before it. ValueError for exposures that are not positive and
+    finite, and if time runs backwards.
     """
     if len(times_s) != len(metered):
         raise ValueError(f"follow_exposure: expected as many times as meterings, got {len(times_s)} and {len(metered)}")
-    exposures = np.empty(len(metered), np.float64)
-    for i in range(len(metered)):
-        before, wanted = (exposures[i - 1], metered[i - 1]) if i else (metered[0], metered[0])
-        elapsed_s = times_s[i] - times_s[i - 1] if i else 0.0
-        exposures[i] = step_exposure(before, wanted, elapsed_s, reference=reference, settings=settings)
+    if not all(math.isfinite(e) and e > 0 for e in (*metered, reference)):
+        raise ValueError(f"follow_exposure: expected positive exposures, got {list(metered)!r:.80} and {reference}")
+    if not (np.diff(times_s) >= 0).all():
+        raise ValueError(f"follow_exposure: expected time to go on, got {list(times_s)!r:.80} s")
+    exposures: ArrayF64 = np.array([_clamped(wanted, reference, settings) for wanted in metered], np.float64)
+    targets = exposures.tolist()
+    for i in range(1, len(targets)):
+        elapsed_s = times_s[i] - times_s[i - 1]
+        left = math.exp(-elapsed_s / settings.time_constant_s) if settings.time_constant_s else 0.0
+        followed = targets[i - 1] * math.pow(exposures[i - 1] / targets[i - 1], left)
+        exposures[i] = _clamped(followed, reference, settings)
     return exposures
 
 
