@@ -162,9 +162,3 @@ def test_the_order_of_the_points_changes_nothing(files):
     for seed in range(3):
         order = np.random.default_rng(seed).permutation(N)
         np.testing.assert_allclose(estimator._light(points[order], srgb[order], is_set[order]), light, atol=1e-5)
-
-
-@pytest.mark.parametrize("name", ESTIMATORS)
-def test_missing_weights_are_named_with_what_to_do(tmp_path, name):
-    with pytest.raises(ValueError, match=r"none\.npz: expected .* weights, found no file.* train the network"):
-        ESTIMATORS[name](N, weights=tmp_path / "none.npz")

@@ -61,12 +61,7 @@ PointConvWeights = NetworkWeights[PointConvArchitecture]
 
 
 def load_pointconv_weights(path: Path, estimator: str) -> PointConvWeights:
-    """Read and check PointConv weights of `estimator`; ValueError naming the file, and what to do if it is missing."""
-    if not path.exists():
-        raise ValueError(
-            f"{path}: expected {estimator} weights, found no file: those for ldr are shipped; "
-            "choose another estimator, or train the network and export it with `xihe train` and `xihe train export`"
-        )
+    """Read and check PointConv weights of `estimator`. ValueError naming the file, also if it is missing."""
     return read_weights(path, estimator, _architecture_from)
 
 
