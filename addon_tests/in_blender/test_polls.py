@@ -5,7 +5,7 @@ import pytest
 from tiny_scenes import add, box, room_with_a_virtual_sphere
 
 from xihe_blender.addon import polls
-from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
+from xihe_blender.scene.virtual_objects import make_virtual, virtual_collection, virtual_objects
 
 
 def first_words(scene):
@@ -88,6 +88,21 @@ def test_a_virtual_object_around_the_camera_is_doubted():
     assert doubts_of_objects(scene) == [said]
     bpy.data.objects["Mesh_0"].location.z += 0.3
     assert doubts_of_objects(scene) == []
+
+
+def test_what_is_parented_to_a_virtual_object_and_left_in_the_room_is_doubted():
+    scene = room_with_a_virtual_sphere()
+    hat = box(scene, "Hat", (0, 0, 1), (0.1, 0.1, 0.1))
+    hat.parent = add(scene, "Neck", None)
+    hat.parent.parent = bpy.data.objects["Ball"]
+    add(scene, "Flame", bpy.data.lights.new("Flame", "POINT")).parent = bpy.data.objects["Ball"]
+    (said,) = (doubt for doubt in polls.doubts(scene) if "parented" in doubt)
+    assert said == "'Hat' is parented to a virtual object, but part of the room: add it too"
+    hat.hide_render = True
+    assert not any("parented" in doubt for doubt in polls.doubts(scene))
+    hat.hide_render = False
+    make_virtual(scene, [hat])
+    assert not any("parented" in doubt for doubt in polls.doubts(scene))
 
 
 @pytest.mark.parametrize("has_denoiser", [True, False])

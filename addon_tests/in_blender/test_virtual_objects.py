@@ -227,6 +227,16 @@ def test_nothing_goes_into_or_out_of_a_collection_of_virtual_objects_that_is_an_
     assert make_virtual(scene, [cup]) == [cup] and make_room(scene, [ball]) == [ball]
 
 
+@pytest.mark.parametrize("of", ["Head", "Rig"])
+def test_hair_curves_become_virtual_and_room_again_with_what_they_grow_on(scene, of):
+    head, rig = add_box(scene, (1, 1, 1), "Head"), add(scene, "Rig", None)
+    head.parent, hair = rig, add(scene, "Hair", bpy.data.hair_curves.new("Hair"))
+    hair.data.surface = head
+    add(scene, "Grass", bpy.data.hair_curves.new("Grass"))
+    assert make_virtual(scene, [bpy.data.objects[of]]) == [head, hair] and virtual_objects(scene) == [hair, head]
+    assert make_room(scene, [bpy.data.objects[of]]) == [head, hair] and virtual_objects(scene) == []
+
+
 # --------------------------------------------------------------------------------------------- where light is estimated
 
 

@@ -18,7 +18,13 @@ from xihe_blender.addon.runs_folder import shown_runs
 from xihe_blender.apply.datablocks import ROOM, has_anything, trigger_markers
 from xihe_blender.io.old_runs import old_runs, runs_in
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
-from xihe_blender.scene.virtual_objects import collections_of, has_renderable_geometry, virtual_objects, with_parts
+from xihe_blender.scene.virtual_objects import (
+    ancestors,
+    collections_of,
+    has_renderable_geometry,
+    virtual_objects,
+    with_parts,
+)
 
 Condition = Callable[[bpy.types.Context], str | None]
 
@@ -106,6 +112,8 @@ def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
     virtual, rendered = virtual_objects(scene), _rendered_objects(scene)
     unseen = [item.name for item in virtual if item not in rendered]
     bare = [item.name for item in virtual if _is_bare_curve(item)]
+    inserted = set(virtual)
+    left = [item.name for item in scene.objects if item.parent is not None and _is_left_in_room(item, inserted)]
     around = [item.name for item in virtual if any(_encloses(item, camera) for camera in _cameras(scene))]
     found = []
     if unseen:
@@ -114,6 +122,9 @@ def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
     if bare:
         has, it = ("has", "it") if len(bare) == 1 else ("have", "them")
         found.append(f"{_named(bare)} {has} no surface, only a curve: give {it} a bevel, an extrusion or a fill")
+    if left:
+        is_part, it = ("is", "it") if len(left) == 1 else ("are", "them")
+        found.append(f"{_named(left)} {is_part} parented to a virtual object, but part of the room: add {it} too")
     if around:
         encloses, it = ("encloses", "is it") if len(around) == 1 else ("enclose", "are they")
         said = "Only what the phone inserts is to be virtual"
@@ -144,6 +155,12 @@ def _is_bare_curve(item: bpy.types.Object) -> bool:
         return False
     is_filled = item.data.dimensions == "2D" and item.data.fill_mode != "NONE"
     return not (is_filled and any(spline.use_cyclic_u for spline in item.data.splines))
+
+
+def _is_left_in_room(item: bpy.types.Object, virtual: set[bpy.types.Object]) -> bool:
+    """Whether renders show it in the room while what it hangs on is not there."""
+    is_shown = item not in virtual and not item.hide_render and has_renderable_geometry(item)
+    return is_shown and any(above in virtual for above in ancestors(item))
 
 
 def _encloses(item: bpy.types.Object, camera: bpy.types.Object) -> bool:

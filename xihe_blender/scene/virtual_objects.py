@@ -209,15 +209,20 @@ def listed(layer: bpy.types.ViewLayer) -> bpy.types.ViewLayer:
 
 
 def with_parts(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
-    """`objects`, and what has renderable geometry below the empties and armatures among them, as in imported models."""
+    """`objects`, what has renderable geometry below the empties and armatures among them, and the hair on all of these.
+
+    Imported models hang on empties and armatures. Hair curves are an object of their own, unlike hair of particles.
+    """
     given = list(objects)
     holders = {item for item in given if item.type in HOLDER_TYPES and not has_renderable_geometry(item)}
     parts = scene.objects if holders else ()
-    below = [item for item in parts if holders.intersection(_ancestors(item)) and has_renderable_geometry(item)]
-    return list(dict.fromkeys([*given, *below]))
+    below = [item for item in parts if holders.intersection(ancestors(item)) and has_renderable_geometry(item)]
+    found = dict.fromkeys([*given, *below])
+    grown = scene.objects if bpy.data.hair_curves else ()
+    return [*dict.fromkeys([*found, *(item for item in grown if item.type == "CURVES" and item.data.surface in found)])]
 
 
-def _ancestors(item: bpy.types.Object) -> Iterator[bpy.types.Object]:
+def ancestors(item: bpy.types.Object) -> Iterator[bpy.types.Object]:
     above = item.parent
     while above is not None:
         yield above
