@@ -10,7 +10,7 @@ from effect_scenes import shader_look
 from previs_runs import DRAFT, PlainPrevis
 from renders import pixels_of_file, rendered_picture, rendered_sphere
 from shown_lights import keyed
-from tiny_scenes import box, empty_scene, material, opened, orthographic, phone, sphere
+from tiny_scenes import add_instance, box, empty_scene, material, nodes_of, opened, orthographic, phone, sphere
 
 from xihe_blender.apply.datablocks import KEY_LIGHT, SHADOW_CATCHER, applied_worlds
 from xihe_blender.apply.key_suns import (
@@ -41,7 +41,7 @@ from xihe_blender.previs.results_notes import light_notes
 from xihe_blender.previs.run_chain import run_chain
 from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.scene.sphere_rig import add_three_sphere_rig
-from xihe_blender.scene.virtual_objects import virtual_collection
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet import sh
 from xihenet.camera import Intrinsics
 from xihenet.light.key_light import rest_of, sh_of_key_light, sure_part
@@ -118,6 +118,27 @@ def test_a_sun_shines_on_its_own_object_alone_and_is_gone_after_the_comparison()
     assert max(shown.values()) == pytest.approx(0.1, rel=0.1)
     assert not key_suns() and not bpy.data.lights
     assert not [c for c in bpy.data.collections if c.name.startswith("Xihe Lit")]
+
+
+@pytest.mark.parametrize("is_instance", [False, True])
+def test_smoke_beside_other_objects_covers_what_its_density_says(is_instance):
+    scene = empty_scene()
+    virtual = virtual_collection(scene, create=True)
+    smoke, asset = material("Smoke"), bpy.data.collections.new("Asset")
+    tree, output = nodes_of(smoke)
+    absorbing = tree.nodes.new("ShaderNodeVolumeAbsorption")
+    absorbing.inputs["Color"].default_value, absorbing.inputs["Density"].default_value = (0, 0, 0, 1), 2.0
+    tree.links.new(absorbing.outputs[0], output.inputs["Volume"])
+    box(scene, "Smoke", (0, 0, 0), (0.5, 0.5, 0.5), smoke, asset if is_instance else virtual)
+    if is_instance:
+        add_instance(scene, asset, virtual)
+    for name, x in (("A", -0.7), ("B", 0.7)):
+        sphere(scene, name, (x, 0, 0), 0.2, material(name), virtual)
+    orthographic(scene)
+    with open_comparer(scene, virtual_objects(scene), ["one"], RenderSettings((9, 9), 64, denoise=False)) as comparer:
+        layers = render_passes(comparer.lit).layers
+    covered = sum(layers[layer]["Combined.A"][4, 4] for layer in comparer.layers.values())
+    assert covered == pytest.approx(1 - np.exp(-2.0 * 0.5), abs=0.01)
 
 
 def test_what_reflects_a_picture_takes_its_samples_and_all_else_those_of_the_preset():

@@ -41,7 +41,7 @@ from xihe_blender.scene.phone_capture import CAPTURE, SCAN
 from xihe_blender.scene.shader_nodes import Interaction, material_shading
 from xihe_blender.scene.state import animated_paths, remove_copied_scene, show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
-from xihe_blender.scene.virtual_objects import listed, virtual_collection
+from xihe_blender.scene.virtual_objects import has_renderable_geometry, listed, virtual_collection
 from xihenet.io.frame_files import FrameCamera
 
 PHONE = "Xihe Phone"
@@ -205,12 +205,20 @@ def _is_simulated(item: bpy.types.Object) -> bool:
 
 def _may_hide(item: bpy.types.Object) -> bool:
     """Whether it may have a surface: a mesh of edges or points alone has none, nor has one of fog."""
-    looks = [material_shading(slot.material).interactions & ~Interaction.DISPLACEMENT for slot in item.material_slots]
-    if looks and all(look == Interaction.VOLUME for look in looks):
+    if _is_fog(item):
         return False
     if item.type == "MESH":
         return bool(item.data.polygons or item.modifiers)
     return item.type in _SOLID or item.instance_type == "COLLECTION"
+
+
+def _is_fog(item: bpy.types.Object) -> bool:
+    """Whether it is a volume without a surface, or an instance of nothing else: Cycles holds out no such."""
+    if item.instance_type == "COLLECTION" and item.instance_collection is not None:
+        parts = [part for part in item.instance_collection.all_objects if has_renderable_geometry(part)]
+        return bool(parts) and all(map(_is_fog, parts))
+    looks = [material_shading(slot.material).interactions & ~Interaction.DISPLACEMENT for slot in item.material_slots]
+    return item.type == "VOLUME" or (bool(looks) and all(look == Interaction.VOLUME for look in looks))
 
 
 def _draw_no_lines(copied: bpy.types.Object, tidied: dict[bpy.types.ID, bpy.types.ID]) -> None:
@@ -480,6 +488,7 @@ def set_up_lit_scene(
     """Leave only `objects` in `lit`, each in a collection of its own, and give it one view layer per entry of `layers`.
 
     `layers` maps the layer's name to the object it shows and the world that lights it; the other objects hold out.
+    Of them smoke and fog, which would be drawn once more under each light, are seen by no camera: they cast shadows.
     """
     root = lit.collection
     for child in list(root.children):
@@ -498,7 +507,8 @@ def set_up_lit_scene(
         layer.use_pass_z = True
         layer.world_override = world
         for item, child in zip(objects, layer.layer_collection.children, strict=True):
-            child.holdout = item.name != shown
+            child.indirect_only = item.name != shown and _is_fog(item)
+            child.holdout = item.name != shown and not child.indirect_only
     lit.view_layers.remove(placeholder)
 
 
