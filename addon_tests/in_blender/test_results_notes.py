@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from tiny_scenes import empty_scene, phone
+from tiny_scenes import add_instance, add_lamp, box, empty_scene, material, phone
 
 from addon_tests.pure import runs
 from xihe_blender.io.json_records import from_json
@@ -17,6 +17,7 @@ from xihe_blender.previs.results_notes import (
     faults_seen,
     frame_notes,
     recorded_warnings,
+    shining_notes,
     unanswered_notes,
     white_notes,
 )
@@ -93,3 +94,18 @@ def test_pixels_without_a_distance_are_told_with_the_cameras_clip_end():
     frames = [from_json(FrameResult, runs.frame(1, n_invalid_pixels=7))]
     (note,) = (one for one in frame_notes(scene, frames) if "plane depth" in one)
     assert note.startswith("7 captured pixels") and "beyond the camera's Clip End, 2 m" in note
+
+
+def test_virtual_objects_that_shine_are_named():
+    scene = empty_scene()
+    asset = bpy.data.collections.new("Asset")
+    box(scene, "Stand", (0, 0, 0), (1, 1, 1), material("Grey"), asset)
+    lantern, vase = add_instance(scene, asset), box(scene, "Vase", (0, 0, 0), (1, 1, 1))
+    assert not list(shining_notes([lantern, vase]))
+    glowing = box(scene, "Neon", (0, 0, 0), (1, 1, 1), material("Glow", emission=2.0))
+    flame = add_lamp(scene, collection=asset, energy=0.0).data
+    (said,) = shining_notes([lantern, vase, glowing])
+    assert said.startswith("Virtual objects that shine: Neon. Their light falls on the room in the ground truth")
+    flame.energy = 1.0
+    (said,) = shining_notes([lantern, vase])
+    assert said.startswith("Virtual objects that shine: Instance.")

@@ -17,6 +17,7 @@ from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.simulated_phone import SimulatedPhone
 from xihe_blender.report.values import mean, too_small_to_judge
 from xihe_blender.scene.colour_management import PLAIN_VIEWS
+from xihe_blender.scene.shader_nodes import Interaction, light_emits, material_shading
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.backend import NoAnswer
 from xihenet.edge.client import EdgeBackend
@@ -55,6 +56,7 @@ def notes_and_warnings(
         *unanswered,
         *light_notes(run.settings, run.plan.objects),
         *shadow_notes(frames),
+        *shining_notes(run.plan.objects),
         *faults,
         *phone.notes(),
         *exposed,
@@ -136,6 +138,24 @@ def shadow_notes(frames: Sequence[FrameResult]) -> Iterator[str]:
     if in_the_air:
         them = ", ".join(in_the_air)
         yield f"The phone has seen nothing flat near {them}: in the air an object calls for no shadow on the room."
+
+
+def shining_notes(objects: Sequence[bpy.types.Object]) -> Iterator[str]:
+    """Which objects light the room around them, as a lamp does that is inserted."""
+    shining = ", ".join(item.name for item in objects if _shines(item))
+    if shining:
+        yield (
+            f"Virtual objects that shine: {shining}. Their light falls on the room in the ground truth, not in the "
+            "methods' pictures."
+        )
+
+
+def _shines(item: bpy.types.Object) -> bool:
+    if item.instance_type == "COLLECTION" and item.instance_collection is not None:
+        return any(map(_shines, item.instance_collection.all_objects))
+    if isinstance(item.data, bpy.types.Light):
+        return light_emits(item.data)
+    return any(material_shading(slot.material).interactions & Interaction.EMISSION for slot in item.material_slots)
 
 
 def _shown_otherwise(scene: bpy.types.Scene) -> list[str]:
