@@ -149,7 +149,7 @@ def test_results_that_are_none_and_a_folder_that_is_gone_are_no_run(tmp_path):
         (tmp_path / "results.json").write_text(text, encoding="utf-8")
         assert reader.last_run(str(tmp_path)) is None, text
     assert reader.last_run(str(tmp_path / "gone")) is reader.last_run("") is None
-    assert panels.missing_run("") != panels.missing_run("somewhere")
+    assert len({panels.missing_run(*of) for of in (("", False), ("somewhere", False), ("", True))}) == 3
 
 
 def test_progress_tells_the_time_left_and_sentences_are_wrapped_and_lose_no_word():

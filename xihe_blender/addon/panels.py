@@ -40,7 +40,7 @@ TAB = "Xihe"
 N_NAMED = 6
 N_EFFECTS = 8
 N_WARNINGS = 3
-LABEL_SHARE = 0.42
+LABEL_SHARE = 0.47
 NARROW_SHARE = 0.6
 METHOD_SHARE = 0.34
 PIXELS_PER_CHARACTER = 6.6
@@ -184,13 +184,15 @@ class XIHE_UL_effects(bpy.types.UIList):
     """An effect a row: whether it is simulated, its name, and what the user wants."""
 
     # Blender counts the parameters.
-    def draw_item(self, _c: Any, layout: Any, _data: Any, item: Any, _i: Any, _owner: Any, _p: Any) -> None:
+    def draw_item(self, context: Any, layout: Any, data: Any, item: Any, _i: Any, _owner: Any, _p: Any) -> None:
         row = layout.row(align=True)
         row.active = item.state == "on"
         row.label(
             text=in_title(item.name), icon="CHECKBOX_HLT" if item.state == "on" else "CHECKBOX_DEHLT", translate=False
         )
-        if item.is_switchable:
+        # A narrow sidebar has no room for a name and a choice that is nobody's.
+        is_chosen = item.override != "AUTO" or item == data.effects[data.active_effect]
+        if item.is_switchable and (is_chosen or not is_narrow(context)):
             choice = layout.row()
             choice.ui_units_x = 3.2
             choice.prop(item, "override", text="", emboss=item.override != "AUTO")
@@ -213,7 +215,7 @@ class XIHE_PT_effects(StagePanel, bpy.types.Panel):
         )
         if 0 <= settings.active_effect < len(effects):
             effect = effects[settings.active_effect]
-            sentence(context, layout, effect.reason, icon="INFO")
+            sentence(context, layout, f"{effect.name}: {effect.reason}", icon="INFO")
         layout.operator("xihe.plan_effects", text="Plan Again", icon="FILE_REFRESH")
 
 
@@ -341,7 +343,8 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.xihe
         run = last_run(settings.run_folder)
         if run is None:
-            sentence(context, layout, missing_run(settings.run_folder))
+            job = context.window_manager.xihe
+            sentence(context, layout, missing_run(settings.run_folder, job.is_running and not job.works_here))
             return
         for said in filter(None, (made_of(context.scene, run), other_unit(context.scene, run))):
             sentence(context, layout, said, icon="INFO")
@@ -364,7 +367,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
             # A label has no tooltip.
             row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = meaning
         if run.settings.others and run.recording is None:
-            _draw_methods(layout, run)
+            _draw_methods(layout, run, is_narrow(context))
         split = layout.split(factor=NARROW_SHARE if is_narrow(context) else LABEL_SHARE)
         split.label(text="Go to Trigger")
         row = split.row(align=True)
@@ -444,15 +447,18 @@ def _draw_looks(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         sentence(context, layout, said, icon="INFO")
 
 
-def _draw_methods(layout: bpy.types.UILayout, run: RunResults) -> None:
-    """A table of the estimators of a run: the error of their light and of the pictures of the lit objects, and time."""
+def _draw_methods(layout: bpy.types.UILayout, run: RunResults, is_narrow: bool) -> None:
+    """A table of the estimators of a run: the error of their light and of the pictures of the lit objects, and time.
+
+    A narrow sidebar has room for the error of the pictures alone.
+    """
     row = layout.box().row(align=True)
-    split = row.split(factor=METHOD_SHARE, align=True)  # Even widths would cut names off.
+    split = row.split(factor=NARROW_SHARE if is_narrow else METHOD_SHARE, align=True)  # Even widths would cut names.
     names, figures = split.column(align=True), split.row(align=True)
-    columns = [names, *(figures.column(align=True) for _ in range(3))]
+    columns = [names, *(figures.column(align=True) for _ in range(1 if is_narrow else 3))]
     row.operator("xihe.explain", text="", icon="QUESTION", emboss=False).meaning = METHODS
     for cells in [("Estimator", "Light", "Picture", "ms"), *method_rows(run)]:
-        for column, cell in zip(columns, cells, strict=True):
+        for column, cell in zip(columns, (cells[0], cells[2]) if is_narrow else cells, strict=True):
             column.label(text=cell, translate=False)
 
 
@@ -481,7 +487,9 @@ def as_sentence(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def missing_run(folder: str) -> str:
+def missing_run(folder: str, is_under_way: bool) -> str:
+    if is_under_way:
+        return "No results yet: the run is under way"
     return "The folder of the last run is gone: run again" if folder else "No results yet: press Run"
 
 
