@@ -138,8 +138,9 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
         lit[ROOM], lit[OF_RUN] = scene, folder.name
     if not is_over_frames(lit):
         exposure = results.settings.reference_exposure
-        # From the scene's start on: the light of the first frame holds before it, and so must its picture.
-        path = range(min(scene.frame_start, results.frames[0].frame), results.frames[-1].frame + 1)
+        # Where the light of the first and of the last frame holds, to the scene's start and end, so must its picture.
+        first, last = results.frames[0].frame, results.frames[-1].frame
+        path = range(min(scene.frame_start, first), max(scene.frame_end, last) + 1)
         size, cameras = results.settings.size, phone_cameras(folder, captured)
         frames = CapturedFrames(pictures, path, folder / "lit", size, exposure, cameras)
         put_over_frames(lit, frames)
