@@ -8,16 +8,30 @@ import pytest
 from mathutils import Vector
 from tiny_scenes import add_lamp, box, empty_scene, material, phone, set_world, sphere
 
+from addon_tests.pure.made import pose_of
 from xihe_blender.apply.datablocks import has_anything
-from xihe_blender.apply.shadow_catchers import make_shadow_catcher, remove_shadow_catchers, shadow_catchers
+from xihe_blender.apply.shadow_catchers import (
+    CATCHER_INDEX,
+    make_shadow_catcher,
+    remove_shadow_catchers,
+    shadow_catchers,
+)
 from xihe_blender.capture.render import RenderSettings, render_only_part, render_passes
 from xihe_blender.capture.scanner import open_scanner
-from xihe_blender.compare.methods import open_comparer
-from xihe_blender.compare.shadows import ring_around, ring_rmse
+from xihe_blender.compare.methods import blended, composite, open_comparer
+from xihe_blender.compare.shadows import (
+    BRIGHTEST,
+    SHADOW_CHANNELS,
+    ring_around,
+    ring_rmse,
+    shadow_of_all,
+    shadow_on,
+    touches_view,
+)
 from xihe_blender.scene.virtual_objects import virtual_collection
-from xihenet.camera import valid_plane_depth
+from xihenet.camera import pixel_rays, valid_plane_depth
 from xihenet.light.key_light import sh_of_key_light
-from xihenet.records import KeyLight, ObjectLight
+from xihenet.records import Intrinsics, KeyLight, ObjectLight, RgbdFrame
 
 SETTINGS = RenderSettings((64, 48), 32)
 TOWARDS_SUN = np.array([0.6, -0.2, 0.75]) / np.linalg.norm([0.6, -0.2, 0.75])
@@ -188,3 +202,99 @@ def test_ring_error_is_that_of_what_a_display_shows():
     ring = np.ones((2, 2), bool)
     assert ring_rmse(np.full((2, 2, 3), 5.0), np.full((2, 2, 3), 3.0), ring) == 0.0
     assert ring_rmse(np.full((2, 2, 3), 0.5), np.full((2, 2, 3), 0.3), ring) == pytest.approx(0.2)
+
+
+def caught(ratio, depth_m=1.0):
+    """A layer of nothing but a catcher, with these ratios (H, W, 3)."""
+    passes = {name: np.array(ratio[..., channel], np.float32) for channel, name in enumerate(SHADOW_CHANNELS)}
+    return passes | {"Depth.Z": np.full(ratio.shape[:2], depth_m), "Combined.A": np.zeros(ratio.shape[:2])}
+
+
+def test_a_catcher_multiplies_the_frame_where_it_is_seen_without_speckles_and_unlikely_colours():
+    shape, seen = (5, 6, 3), np.ones((5, 6), bool)
+    even = np.broadcast_to([0.4, 0.5, 0.6], shape)
+    np.testing.assert_allclose(shadow_on(caught(even), seen), even, rtol=1e-6)
+    unlikely = shadow_on(caught(np.broadcast_to([-3.0, 0.5, 0.9], shape)), seen)
+    np.testing.assert_allclose(unlikely, np.broadcast_to([0.25, 0.5, 0.75], shape))
+    for ratio, shown in ((3.0, BRIGHTEST), (-1.0, 0.0), (np.nan, 1.0)):
+        np.testing.assert_array_equal(shadow_on(caught(np.full(shape, ratio)), seen), shown)
+    for speckle in (0.0, 9.0, np.nan):
+        speckled = even.copy()
+        speckled[2, 3] = speckled[0, 0] = speckle
+        np.testing.assert_allclose(shadow_on(caught(speckled), seen), even, rtol=1e-6)
+    # What is not of a catcher has no say in what is.
+    is_left = np.arange(30).reshape(5, 6) % 6 < 2
+    half = even * is_left[..., None]
+    hidden, covered = caught(half), caught(half)
+    hidden["Depth.Z"][~is_left], covered["Combined.A"][~is_left] = 1e10, 1.0
+    for passes, in_view in ((hidden, seen), (covered, seen), (caught(half), is_left)):
+        np.testing.assert_allclose(shadow_on(passes, in_view), np.where(half > 0, half, 1.0), rtol=1e-6)
+
+
+def test_of_several_shadows_the_darkest_counts_and_of_several_lights_the_brightest():
+    shape, seen = (2, 3, 3), np.ones((2, 3), bool)
+    for a, b, counts in ((0.5, 0.9, 0.5), (0.9, 0.5, 0.5), (1.0, 1.1, 1.1), (0.9, 1.1, 0.9), (1.15, 1.1, 1.15)):
+        layers = {name: caught(np.full(shape, ratio)) for name, ratio in (("a", a), ("b", b), ("not in view", 0))}
+        np.testing.assert_allclose(shadow_of_all(layers, {"a": seen, "b": seen, "no layer": seen}), counts, rtol=1e-6)
+        assert np.all(shadow_of_all(layers, {}) == 1)
+
+
+def test_a_ball_touches_the_view_where_it_reaches_over_one_of_its_sides():
+    rng, camera = np.random.default_rng(0), Intrinsics(40, 30, 50.0, 45.0, 12.0, 21.0)
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    pose = pose_of(axes * np.linalg.det(axes), rng.normal(size=3))
+    corners = pixel_rays(camera)[[0, 0, -1, -1], [0, -1, -1, 0]]
+    corners[:, 0] += np.array([-0.5, 0.5, 0.5, -0.5]) / camera.fx
+    corners[:, 1] += np.array([0.5, 0.5, -0.5, -0.5]) / camera.fy
+    sides = [
+        ((one + other) / 2, np.cross(other, one)) for one, other in zip(corners, np.roll(corners, -1, 0), strict=True)
+    ]
+    for on_side, outwards in [*sides, (np.zeros(3), np.array([0, 0, 1.0]))]:
+        middle_m = pose[:3, :3] @ (on_side + 0.1 * outwards / np.linalg.norm(outwards)) + pose[:3, 3]
+        assert touches_view(middle_m, 0.101, camera, pose) and not touches_view(middle_m, 0.099, camera, pose)
+
+
+def frame_at(depth_m, **known):
+    depth_m = np.asarray(depth_m, np.float32)
+    height, width = depth_m.shape
+    camera = Intrinsics(width, height, 10.0, 10.0, width / 2, height / 2)
+    return RgbdFrame(np.zeros((height, width, 3), np.uint8), depth_m, camera, np.eye(4), **known)
+
+
+def test_objects_are_put_over_the_frame_by_their_alpha_where_nothing_of_the_room_is_before_them():
+    background = np.full((3, 9, 3), 0.3)
+    room = frame_at(np.full((3, 9), 2.0), exposure=2.0, white_balance=np.array([0.5, 1.0, 1.5]))
+    depth_m = np.full((3, 9), 1e10, np.float32)  # None, at a soft edge, but for the first and the last two columns:
+    depth_m[:, 0], depth_m[:, 7], depth_m[:, 8] = 1.0, 2.0055, 2.0065
+    passes = {"Depth.Z": depth_m, "Combined.A": np.full((3, 9), 0.75, np.float32)}
+    passes |= {f"Combined.{channel}": np.full((3, 9), 0.1, np.float32) for channel in "RGB"}
+    picture, weights = composite(background, [passes], room)
+    np.testing.assert_array_equal(weights, np.broadcast_to([0.75] * 8 + [0], (3, 9)))
+    shown = 0.1 * 2.0 * np.array([0.5, 1.0, 1.5]) + 0.25 * 0.3
+    np.testing.assert_allclose(picture, np.where(weights[..., None] > 0, shown, background), rtol=1e-6)
+    # Behind the room there is nothing of an object, nor at its soft edge; through a window all of it.
+    far = passes | {"Depth.Z": np.where(depth_m < 3, 2.5, depth_m)}
+    np.testing.assert_array_equal(composite(background, [far], room)[1][1], [0, 0, *[0.75] * 4, 0, 0, 0])
+    assert (composite(background, [far], frame_at(np.zeros((3, 9))))[1] == 0.75).all()
+    # Two of them cover what they cover together, at most all. What a catcher shows lies on the room, but for 5 %.
+    assert (composite(background, [passes, passes], room)[1][:, :8] == 1).all()
+    for index, covers in ((CATCHER_INDEX, True), (1, False)):
+        for depth in (2.1, 2.25):
+            fog = passes | {"Depth.Z": np.full((3, 9), depth), "Object Index.X": np.full((3, 9), index)}
+            assert (composite(background, [fog], room)[1] > 0).all() == (covers and depth < 2.2)
+
+
+def test_a_point_has_most_of_the_light_of_the_nearest_position_and_what_is_no_light_is_not_mixed():
+    frame = frame_at(np.full((1, 2), 2.0))
+    depth_m = np.array([[2.0, 1e10]], np.float32)
+    one = caught(np.full((1, 2, 3), 0.8)) | {"Depth.Z": depth_m, "Combined.R": np.float32([[1, 1]])}
+    other = caught(np.array([[[np.nan] * 3, [9.0] * 3]])) | {"Depth.Z": depth_m, "Combined.R": np.float32([[3, 3]])}
+    point_m = np.array([-0.1, 0, -2.0])
+    away = np.array([0.3, 0, 0]), np.array([0, 0.1, 0])
+    mixed = blended([one, other], [point_m + off for off in away], frame)
+    ratio = ((0.3**2 + 0.05**2) / (0.1**2 + 0.05**2)) ** 2
+    assert mixed["Combined.R"][0] == pytest.approx([(1 + 3 * ratio) / (1 + ratio), 2.0], rel=1e-5)
+    said = mixed[SHADOW_CHANNELS[0]][0]
+    assert said == pytest.approx([(0.8 + ratio) / (1 + ratio), (0.8 + BRIGHTEST) / 2], rel=1e-5)
+    for name in ("Depth.Z", "Combined.A"):
+        np.testing.assert_array_equal(mixed[name], one[name])
