@@ -9,7 +9,7 @@ from tiny_scenes import room_with_a_virtual_sphere
 
 from addon_tests.pure import runs
 from addon_tests.pure.commands import assert_refused, xihe_here
-from xihe_blender.compare.side_by_side import BAR_PX, save_side_by_side, wiped
+from xihe_blender.compare.side_by_side import BAR_PX, middle_of_change, save_side_by_side, wiped
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import write_json, write_picture
 from xihe_blender.io.run_results import read_results
@@ -40,6 +40,17 @@ def panels(picture):
     rows = [picture[k * (height + BAR_PX) :][: height + BAR_PX] for k in range(2)]
     cells = [row[:, k * width : (k + 1) * width] for row in rows for k in range(2)]
     return [cell[BAR_PX:] for cell in cells], [cell[:BAR_PX] for cell in cells]
+
+
+@pytest.mark.parametrize(
+    ("wipe", "row"), [(-1, "tttt"), (0, "tttt"), (0.25, "e|tt"), (0.7, "eee|"), (1, "eeee"), (9, "eeee")]
+)
+def test_a_wipe_has_the_estimate_on_its_left_and_its_middle_is_where_most_changes(wipe, row):
+    estimate, truth = (np.full((2, 4, 3), value, np.float32) for value in (0.25, 0.5))
+    shown = [{"e": 0.25, "t": 0.5, "|": 1.0}[letter] for letter in row]
+    assert (wiped(estimate, truth, wipe) == np.array(shown)[:, None]).all()
+    truth[:, 1] = estimate[:, 1]
+    assert middle_of_change(truth, truth) == 0.5 and middle_of_change(estimate, truth) == 2.5 / 4
 
 
 def test_every_picture_is_there_unchanged_below_a_label(run):

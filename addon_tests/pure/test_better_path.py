@@ -8,8 +8,9 @@ import pytest
 from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of
 from xihenet.buffers import merge
 from xihenet.camera import pixel_rays, unproject_frame
-from xihenet.camera_path.better_path import LEAST_GAIN, KnownRoom, choose_look, guess_unseen, shown_by
+from xihenet.camera_path.better_path import LEAST_GAIN, KnownRoom, choose_look, guess_unseen, likely_radiance, shown_by
 from xihenet.camera_path.looks import Look, LookSettings, direction_words, looks_of, random_looks, turned_view
+from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.completeness import share_from_behind
 from xihenet.records import Intrinsics, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
@@ -146,7 +147,23 @@ def test_what_a_look_shows_is_set_in_the_guessed_cloud_and_all_else_stays():
     after = unseen.with_shown(shown, OBJECT)
     np.testing.assert_array_equal(after.is_set, cloud.is_set | shown)
     np.testing.assert_array_equal(after.srgb[cloud.is_set], cloud.srgb[cloud.is_set])
-    assert (after.distance_m[after.is_set] > 0).all()
+    np.testing.assert_allclose(
+        after.srgb[shown & ~cloud.is_set], linear_to_srgb(unseen.radiance[shown & ~cloud.is_set]), atol=1e-6
+    )
+    seen_m = (OBJECT + LATTICE.directions * after.distance_m[:, None])[after.is_set]
+    np.testing.assert_allclose(seen_m, unseen.points_m[after.is_set], atol=1e-5)
+
+
+def test_light_that_is_likely_is_a_mean_of_what_was_seen_that_of_the_same_side_first():
+    is_set, up = np.random.default_rng(0).random(LATTICE.n) < 0.1, LATTICE.directions[:, 2] > 0
+    sides = np.where(up[:, None], [0.9, 0.5, 0.2], [0.1, 0.5, 0.7])
+    likely = srgb_to_linear(sides)
+    found = likely_radiance(UnitSphereCloud(sides * is_set[:, None], 2.0 * is_set, is_set), LATTICE)
+    np.testing.assert_allclose(found[is_set], likely[is_set], rtol=1e-6)
+    np.testing.assert_allclose(found[:, 1], likely[0, 1], rtol=1e-6)
+    far = np.abs(LATTICE.directions[:, 2]) > 0.7
+    np.testing.assert_allclose(found[far], likely[far], atol=0.2)
+    assert not likely_radiance(UnitSphereCloud.empty(LATTICE.n), LATTICE).any()
 
 
 # --------------------------------------------------------------------------------------------------------------- looks

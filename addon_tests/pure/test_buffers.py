@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.made import looked_at, random_cloud
-from xihenet.buffers import SAME_SURFACE, PositionBuffers, merge, merge_views
+from xihenet.buffers import SAME_SURFACE, PositionBuffers, in_sight, merge, merge_views
 from xihenet.records import AnchorSurfaces, PointCloud, UnitSphereCloud
 from xihenet.sampling import sample_again, sample_unit_sphere
 from xihenet.sh import project_anchors
@@ -154,6 +154,11 @@ def test_a_position_that_does_not_move_keeps_what_it_knows():
     assert (again.srgb == cloud.srgb).all() and (again.is_set == cloud.is_set).all()
     for name in vars(cloud.surfaces):
         np.testing.assert_array_equal(getattr(again.surfaces, name), getattr(cloud.surfaces, name))
+    before = UnitSphereCloud(rng.random((N, 3)), np.full(N, 0.5), np.ones(N, bool))
+    kept, expected = PositionBuffers(cloud, before).moved(np.zeros(3), AnchorLattice(N)), in_sight(before, cloud)
+    for one, other in ((kept.persistent, before), (kept.temporary, expected)):
+        assert (one.is_set == other.is_set).all() and (one.srgb == other.srgb).all()
+    assert (expected.is_set != cloud.is_set).any()
 
 
 def test_a_surface_that_a_position_passes_lies_behind_it_and_at_the_surface_itself_nothing_is_seen():

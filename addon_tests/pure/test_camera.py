@@ -120,6 +120,10 @@ def test_a_point_is_as_far_behind_as_the_surface_of_its_own_pixel_says():
         point = np.array([(column - 1.5) / 2, (1 - row) / 2, -1]) * 20
         assert behind_m(point, frame) == pytest.approx(20 - (1 + 4 * row + column))
     assert behind_m([0, 0, 5], frame) == behind_m([90, 0, -1], frame) == 0
+    # Nor is it behind what its pixel does not show, or by no more than a sensor errs.
+    one, camera = np.array([0.0, 0.0, -2.0]), Intrinsics(1, 1, 1.0, 1.0, 0.5, 0.5)
+    for surface_m, by_m in ((0.0, 0), (np.nan, 0), (2.5, 0), (1.9, 0), (1.7, 0.3)):
+        assert behind_m(one, frame_of([[np.float32(surface_m)]], camera)) == pytest.approx(by_m)
 
 
 def test_the_cameras_own_plane_has_no_pixel_and_the_far_edges_of_the_picture_are_outside():

@@ -108,7 +108,7 @@ def test_what_stays_is_what_is_not_behind_anchor_by_anchor():
             n_hidden += is_hidden
             if left.is_set[k]:
                 assert left.distance_m[k] == other.distance_m[k] and (left.srgb[k] == other.srgb[k]).all()
-        assert n_hidden
+        assert n_hidden and not left.srgb[~left.is_set].any() and not left.distance_m[~left.is_set].any()
     assert in_sight(UnitSphereCloud.empty(64), new) is new
     with pytest.raises(ValueError, match="anchors"):
         in_sight(old, UnitSphereCloud.empty(65))

@@ -212,7 +212,7 @@ def test_input_out_of_range_is_refused(weights_file, part, value):
         Lattice(512, weights=weights_file).estimate_batch(*clouds)
 
 
-@pytest.mark.parametrize("facing", [np.zeros((6, 511)), np.full((6, 512), 1.5), np.full((6, 512), np.nan)])
+@pytest.mark.parametrize("facing", [np.zeros((6, 511)), np.eye(6, 512) * 1.5, np.full((6, 512), np.nan)])
 def test_facing_out_of_range_is_refused(weights_file, facing):
     with pytest.raises(ValueError, match="lattice: expected facing"):
         Lattice(512, weights=weights_file).estimate_batch(*random_clouds(512), facing=facing)

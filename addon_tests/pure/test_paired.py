@@ -68,6 +68,7 @@ def test_nothing_is_clear_on_so_few_groups_that_no_interval_could_be_one_of_95_p
     over_scenes = paired_difference(ones, 0 * ones, [k // 3 for k in range(3 * n_groups)], generator())
     over_seeds = paired_difference(ones[:n_groups], 0 * ones[:n_groups], ["room"] * n_groups, generator())
     assert over_scenes.is_clear == over_seeds.is_clear == (n_groups >= 6)
+    assert over_scenes.low == over_scenes.high == over_seeds.low == over_seeds.high == 1
 
 
 def test_a_single_pair_has_no_interval_and_is_never_clear():
@@ -76,7 +77,7 @@ def test_a_single_pair_has_no_interval_and_is_never_clear():
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "groups"), [([], [], []), ([1.0], [1.0, 2.0], ["a"]), ([np.nan], [1.0], ["a"])]
+    ("first", "second", "groups"), [([], [], []), ([1.0], [1.0, 2.0], ["a"]), ([np.nan, 1.0], [1.0, 1.0], "ab")]
 )
 def test_what_is_no_pair_is_refused(first, second, groups):
     with pytest.raises(ValueError, match="expected"):
@@ -86,4 +87,5 @@ def test_what_is_no_pair_is_refused(first, second, groups):
 def test_students_t_is_that_of_scipy():
     degrees = range(1, 200)
     assert [t_975(d) for d in degrees] == pytest.approx([stats.t.ppf(0.975, d) for d in degrees], rel=1.2e-3)
+    assert t_975(1000) == pytest.approx(stats.t.ppf(0.975, 1000), rel=3e-9)
     assert len(T_975) == 15
