@@ -66,6 +66,8 @@ _MODULES = {
 }  # fmt: skip
 """Public modules, and what of them is offered here."""
 
+__all__ = sorted({*_MODULES, *(name for names in _MODULES.values() for name in names)})
+
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
@@ -77,4 +79,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES, *(name for names in _MODULES.values() for name in names)})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

@@ -229,6 +229,12 @@ def test_a_session_runs_where_there_is_no_blender():
     assert fresh_python(code).stdout.count("seen, mean radiance") == 2
 
 
+def test_help_and_a_star_show_the_public_names():
+    code = "from xihenet import *; import pydoc, xihenet; print(pydoc.plain(pydoc.render_doc(xihenet)), XiheController)"
+    shown = fresh_python(code).stdout
+    assert "class XiheController" in shown and "decide_trigger(" in shown and "TYPE_CHECKING" not in shown
+
+
 def test_the_public_names_are_what_type_checkers_are_told():
     tree = ast.parse((ROOT / "xihenet" / "__init__.py").read_text(encoding="utf-8"))
     declared = {
@@ -241,7 +247,9 @@ def test_the_public_names_are_what_type_checkers_are_told():
     assert {alias.name for node in imports for alias in node.names} == set(xihenet._MODULES)
     offered = {name for names in xihenet._MODULES.values() for name in names}
     assert declared.keys() == offered
-    assert all(getattr(xihenet, name) is declared[name] and name in dir(xihenet) for name in offered)
+    assert all(getattr(xihenet, name) is declared[name] for name in offered)
+    assert set(xihenet.__all__) == offered | set(xihenet._MODULES)
+    assert {name for name in dir(xihenet) if not name.startswith("__")} == set(xihenet.__all__)
     assert all(getattr(xihenet, name).__name__ == f"xihenet.{name}" for name in xihenet._MODULES)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = xihenet.nothing

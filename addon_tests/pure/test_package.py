@@ -97,7 +97,7 @@ def test_the_wheel_holds_every_file_of_both_packages(wheel):
     }
     with zipfile.ZipFile(io.BytesIO(wheel[1])) as archive:
         in_wheel = {name for name in archive.namelist() if ".dist-info/" not in name}
-    assert in_wheel == files
+    assert in_wheel == files and {"xihenet/py.typed", "xihe_blender/py.typed"} <= files
 
 
 def test_the_wheel_records_every_file_as_it_is(wheel):

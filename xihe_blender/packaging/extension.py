@@ -1,7 +1,7 @@
 """The extension as one zip that Blender installs: `xihe package --out DIR`. Needs a checkout, and no Blender.
 
     xihe-<version>.zip
-        blender_manifest.toml   the version and the wheel, then the template in `xihe_blender`
+        blender_manifest.toml   the version and the wheel, then the template beside this file
         __init__.py             registers from the wheel, so that scripts in Blender can import the packages too
         LICENSE
         wheels/                 this project
@@ -37,7 +37,7 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 EARLIEST = (1980, 1, 1, 0, 0, 0)
 """Of the times that a zip can tell."""
 
-MANIFEST = Path(__file__).parents[1] / "blender_manifest.toml"
+MANIFEST = Path(__file__).with_name("blender_manifest.toml")
 REGISTERS_FROM_THE_WHEEL = '''\
 """Registers Xihe from the wheel of this extension, so that scripts in Blender can import its packages too."""
 
