@@ -45,7 +45,6 @@ from xihenet.camera_path.kept_path import FoundLight, KeptPath, SeenFrame
 from xihenet.camera_path.other_cores import find_light_on_all_cores
 from xihenet.io.recording import SessionFacts, load_frame
 from xihenet.light_change import LightFollowing
-from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
 
 OF_CHAIN = ("estimator", "target", "light", "n_anchors", "seed", "captured", "between_estimates", "network")
@@ -65,7 +64,7 @@ class KeptSession:
         chain, (estimator, *_) = self.settings.chain(self.exposure), load_estimators(self.settings)
         return KeptPath(self.frames, chain, estimator, self.settings.link, self.settings.seed)
 
-    def find_light(self, places_m: Mapping[str, ArrayF64]) -> Job[dict[str, FoundLight]]:
+    def find_light(self, places_m: Mapping[str, ArrayLike]) -> Job[dict[str, FoundLight]]:
         """A job, a step per frame: the light at positions ((3,) world, metres) that stay where they are, by name.
 
         Nothing is rendered. The same as a run's, to the last bit.
@@ -76,7 +75,7 @@ class KeptSession:
             lambda done: Progress(done, len(frames), f"estimating the light from frame {frames[done]}"),
         )
 
-    def find_light_on_all_cores(self, places_m: Mapping[str, ArrayF64]) -> Job[dict[str, FoundLight]]:
+    def find_light_on_all_cores(self, places_m: Mapping[str, ArrayLike]) -> Job[dict[str, FoundLight]]:
         """A job: as `find_light`, for many positions, with the other cores of this machine."""
         n = len(places_m)
         return shown(

@@ -11,6 +11,7 @@ from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from xihenet.camera import in_view
 from xihenet.controller import ControllerSettings
@@ -59,7 +60,7 @@ class KeptPath:
     link: Link | None = None
     seed: int = 0
 
-    def find_light(self, places_m: Mapping[str, ArrayF64]) -> Generator[int, None, dict[str, FoundLight]]:
+    def find_light(self, places_m: Mapping[str, ArrayLike]) -> Generator[int, None, dict[str, FoundLight]]:
         """The light at positions ((3,) world, metres) that stay where they are, by name; a step per frame.
 
         Each step says how many frames are done. The same as a session's, to the last bit.

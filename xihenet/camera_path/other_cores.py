@@ -19,10 +19,11 @@ from collections import deque
 from collections.abc import Generator, Iterator, Mapping
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from xihenet.broken_pipes import broken_pipes_raise
 from xihenet.camera_path.kept_path import FoundLight, KeptPath
 from xihenet.child_processes import child_environment, n_cores
-from xihenet.records import ArrayF64
 
 AT_ONCE = 5
 """Places of a batch: half a second of work or so, which is how long cores may wait for the last one."""
@@ -35,7 +36,7 @@ WORTH_IT = 40
 
 _NO_WINDOW: dict[str, Any] = {"creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0)}
 
-Places = Mapping[str, ArrayF64]
+Places = Mapping[str, ArrayLike]
 
 
 def find_light_on_all_cores(
