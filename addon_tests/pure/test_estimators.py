@@ -97,6 +97,18 @@ def test_light_of_another_order_is_a_mistake_and_not_light_that_could_not_be_kno
         estimate_light(LocalBackend(OfOrder3(N)), constant_cloud(True), EstimateContext(), 1.0)
 
 
+def test_an_error_within_an_estimator_names_it():
+    class Painter(Estimator):
+        name = "painter"
+
+        def _estimate(self, cloud, context):
+            cloud.srgb[:] = 0
+            return np.zeros((9, 3))
+
+    with pytest.raises(ValueError, match=r"^painter: assignment destination is read-only$"):
+        Painter(N).estimate(constant_cloud(True))
+
+
 @pytest.fixture
 def package(tmp_path, monkeypatch):
     """Installs the estimator that docs/python.md shows, with other code or another entry point if given."""
@@ -150,6 +162,7 @@ def test_no_package_takes_the_name_of_ours(package):
             {"code": ""},
             "evenly does not offer Evenly (module 'evenly' has no attribute 'Evenly'): mend or uninstall it",
         ),
+        ({"code": "class Evenly: name = 'evenly'"}, "evenly: Evenly is no subclass of xihenet.estimators.Estimator"),
         ({"entry": "even = evenly:Evenly"}, "evenly: the name of Evenly is 'evenly', and 'even' is expected"),
     ],
 )

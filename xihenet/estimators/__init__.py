@@ -118,8 +118,12 @@ def kind(name: str) -> type[Estimator]:
         found: type[Estimator] = getattr(importlib.import_module(row.module, __name__), row.class_name)
     except (ImportError, AttributeError) as error:
         raise ImportError(f"{row.module} does not offer {row.class_name} ({error}): mend or uninstall it") from error
-    if found.name != name:
-        raise ImportError(f"{row.module}: the name of {row.class_name} is {found.name!r}, and {name!r} is expected")
+    from xihenet.estimators.base import Estimator
+
+    if not (isinstance(found, type) and issubclass(found, Estimator)):
+        raise ImportError(f"{row.module}: {row.class_name} is no subclass of xihenet.estimators.Estimator")
+    if (own := getattr(found, "name", None)) != name:
+        raise ImportError(f"{row.module}: the name of {row.class_name} is {own!r}, and {name!r} is expected")
     return found
 
 

@@ -66,7 +66,13 @@ class Estimator(ABC):
         `NotFinite`, which is one, for a result that is not finite.
         """
         self._check_size(cloud)
-        return self._checked(self._estimate(cloud, context or EstimateContext()))
+        try:
+            light = self._estimate(cloud, context or EstimateContext())
+        except ValueError as error:
+            if isinstance(error, NotFinite) or str(error).startswith(f"{self.name}:"):
+                raise
+            raise ValueError(f"{self.name}: {error}") from error  # Such as NumPy's, of an estimator of somebody else.
+        return self._checked(light)
 
     def estimate_with_error(
         self, cloud: UnitSphereCloud, context: EstimateContext | None = None
