@@ -25,6 +25,13 @@ def write_walk(folder, n=3, facts=SessionFacts()):  # noqa: B008, frozen
         recorder.record(frame)
 
 
+def test_frames_without_numbers_are_counted(tmp_path):
+    recorder = SessionRecorder(tmp_path / "in")
+    for frame in walk(CAMERA, 3):
+        recorder.record(replace(frame, frame=0))
+    assert [frame.read().frame for frame in open_capture(tmp_path / "in").frames] == [0, 1, 2]
+
+
 def test_what_it_says_of_itself_comes_back_and_time_may_go_backwards(tmp_path, capfd):
     facts = SessionFacts("a room", ("The lens is not known.",), 0.5, TriggerSettings(theta=0.25))
     write_walk(tmp_path / "in", facts=facts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -29,9 +30,12 @@ def read(folder: Path, up: str | None) -> Capture:
     paths = [inside(folder, name) for name in facts.files] or sorted(folder.glob(FRAME_FILES))
     if not paths:
         raise ValueError(f"{folder}: no frames ({FRAME_FILES}) beside {SESSION_FILE}: record again")
+    frames = [_frame(path) for path in paths]
+    if len({one.number for one in frames}) < len(frames):  # As of an app that gives its frames no numbers.
+        frames = [replace(one, number=number) for number, one in enumerate(frames)]
     return Capture(
         FORMAT_NAME,
-        [_frame(path) for path in paths],
+        frames,
         BLENDER_FROM_UP["z"],
         (*facts.not_known, *_gaps(paths)),
         facts.reference_exposure,
