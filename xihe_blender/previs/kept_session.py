@@ -45,6 +45,7 @@ from xihenet.camera_path.kept_path import FoundLight, KeptPath, SeenFrame
 from xihenet.camera_path.other_cores import find_light_on_all_cores
 from xihenet.io.recording import SessionFacts, load_frame
 from xihenet.light_change import LightFollowing
+from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
 
 OF_CHAIN = ("estimator", "target", "light", "n_anchors", "seed", "captured", "between_estimates", "network")
