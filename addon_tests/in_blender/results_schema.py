@@ -7,6 +7,7 @@ import re
 
 from jsonschema import Draft202012Validator
 
+from xihe_blender.capture.reference_probe import ERROR_BESIDE_NOISE
 from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.run_results import RunResults
 from xihenet.invalid import CLAMPED, UNKNOWN, format_reason
@@ -50,7 +51,7 @@ def check_results(results):
     _check_effects(results)
     assert [entry["frame"] for entry in results["frames"]] == results["settings"]["frames"]
     for entry in results["frames"]:
-        _check_frame(entry, results["settings"]["frames"])
+        _check_frame(entry, results["settings"])
     _check_lights(results)
     _check_comparison(results)
     _check_summary(results)
@@ -82,7 +83,7 @@ def _chosen(results):
     return {name for name in chosen if name not in PHONE_EFFECTS or name in there}
 
 
-def _check_frame(entry, frames):
+def _check_frame(entry, settings):
     assert entry["render_s"] >= 0
     assert set(entry["stage_ms"]) <= STAGES and all(ms >= 0 for ms in entry["stage_ms"].values())
     # `probes` lists active positions only, so that a frame is active exactly when it lists any.
@@ -90,7 +91,7 @@ def _check_frame(entry, frames):
     if entry["active"]:
         assert entry["captured"]
     if entry["captured"]:
-        _check_rendering(entry)
+        _check_rendering(entry, ERROR_BESIDE_NOISE[settings["target"]])
     else:
         assert entry["render_s"] == 0
     assert entry["is_delivered"] or not entry["active"]
@@ -98,7 +99,7 @@ def _check_frame(entry, frames):
     _check_counts(entry["invalid"], entry["n_invalid_pixels"])
     for probe in entry["probes"]:
         _check_probe(probe)
-        _check_arrival(probe, entry["frame"], frames)
+        _check_arrival(probe, entry["frame"], settings["frames"])
     if "estimate" in entry["stage_ms"]:
         assert any(probe["fired"] for probe in entry["probes"])
 
@@ -109,13 +110,13 @@ def _check_counts(counts, n_left_out):
     assert sum(n for reason, n in counts.items() if reason not in CLAMPED) == n_left_out
 
 
-def _check_rendering(entry):
+def _check_rendering(entry, beside_noise):
     capture, probes = entry["rendering"]["capture"], entry["rendering"]["probes"]
     assert set(probes) == {probe["name"] for probe in entry["probes"]}
     renders = [capture, *probes.values()]
     for probe in probes.values():
         assert (probe["expected_error"] is None) == (probe["noise"] is None)
-        assert probe["noise"] is None or probe["noise"] < probe["expected_error"] < probe["noise"] + 0.02
+        assert probe["noise"] is None or probe["noise"] < probe["expected_error"] <= probe["noise"] + beside_noise
     for render in renders:
         assert render["samples"] >= 1 and (render["noise"] is None or render["noise"] >= 0)
         assert render["rendered"] == (render["same_as"] is None)
