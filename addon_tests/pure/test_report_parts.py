@@ -12,7 +12,7 @@ import xihe_blender.report.page as report
 from addon_tests.pure import runs
 from xihe_blender.cli.previs import format_summary
 from xihe_blender.io.json_records import from_json
-from xihe_blender.io.run_results import METRICS, ComparedFrame, Metrics, ProbeResult, RunResults
+from xihe_blender.io.run_results import METRICS, Metrics, ProbeResult, RunResults
 from xihe_blender.report import budget, tables
 from xihe_blender.report.document import SCRIPT, STYLE, document, table
 from xihe_blender.report.pictures import MAX_FRAMES, choose_frames, picture_kinds
@@ -58,9 +58,9 @@ def test_chosen_frames_are_spread_over_the_run(n_frames):
 
 def test_pictures_come_in_the_order_of_the_story():
     kinds = (["error_ambient", "error_lattice", "other", "truth", "ambient", "lattice"], ["captured", "ground_truth"])
-    frames = [from_json(ComparedFrame, runs.compared(of_one)) for of_one in kinds]
+    pictures = [dict.fromkeys(of_one, "") for of_one in kinds]
     expected = ["captured", "ground_truth", "lattice", "ambient", "truth", "other", "error_lattice", "error_ambient"]
-    assert picture_kinds(frames, "lattice") == expected
+    assert picture_kinds(pictures, "lattice") == expected
 
 
 @pytest.mark.parametrize(

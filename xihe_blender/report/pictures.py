@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from xihe_blender.io.outputs import RunOutputs
-from xihe_blender.io.run_results import ComparedFrame, FrameResult, RunResults
+from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.report.document import png_url
 from xihe_blender.report.invalid import format_kept
 from xihe_blender.report.timeline import KEPT, Timeline, fired_probes, format_moment, format_trigger, reason_shape
@@ -27,12 +27,12 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
     """The scrubber, a strip for each chosen frame, the wipe, and which frames and files are not here."""
-    timeline, compared = Timeline.of(results), results.compared_frames or _composited(results, outputs)
-    if not compared:
+    timeline = Timeline.of(results)
+    frames = [frame for frame in timeline.frames if frame.compared is not None or frame.composited]
+    if not frames:
         return "<p>This run made no pictures.</p>"
-    frames = [frame for frame in timeline.frames if frame.frame in compared]
-    chosen = choose_frames(frames)
-    kinds = picture_kinds(compared.values(), results.settings.estimator)
+    chosen, pictures = choose_frames(frames), {frame.frame: _pictures_of(frame, outputs) for frame in frames}
+    kinds = picture_kinds(pictures.values(), results.settings.estimator)
     meanings = {kind: _kind_meaning(kind, results.settings.error_map_full_scale) for kind in kinds}
     places = {frame.frame: x for frame, x in zip(timeline.frames, timeline.centres_percent, strict=True)}
     radios = "".join(
@@ -40,24 +40,16 @@ def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
         f' data-frame="{frame.frame}" aria-label="frame {frame.frame}"{"" if i else " checked"}>'
         for i, frame in enumerate(chosen)
     )
-    strips = "".join(_strip(i, frame, compared[frame.frame], meanings, outputs) for i, frame in enumerate(chosen))
+    strips = "".join(_strip(i, frame, pictures[frame.frame], meanings, outputs) for i, frame in enumerate(chosen))
     viewer = f'{radios}{_scrubber(chosen)}<div class="moments">{strips}</div>{_wipe(kinds)}'
     return f'{_choosing_rules(len(chosen))}<div class="viewer">{viewer}</div>{_left_out(frames, chosen)}'
 
 
-def _composited(results: RunResults, outputs: RunOutputs) -> dict[int, ComparedFrame]:
-    """The pictures over a recording as those of a comparison without a ground truth, by frame."""
-    return {
-        frame.frame: ComparedFrame(
-            pictures={"captured": outputs.relative(outputs.picture("captured", frame.frame)), **frame.composited},
-            comparison={},
-            n_hueless_pixels={},
-            comparison_render_s=0.0,
-            comparison_same_as=None,
-        )
-        for frame in results.frames
-        if frame.composited
-    }
+def _pictures_of(frame: FrameResult, outputs: RunOutputs) -> Mapping[str, str]:
+    """By kind, those of a comparison, or those over a recording."""
+    if frame.compared is not None:
+        return frame.compared.pictures
+    return {"captured": outputs.relative(outputs.picture("captured", frame.frame)), **frame.composited}
 
 
 def choose_frames(frames: Sequence[FrameResult]) -> list[FrameResult]:
@@ -72,9 +64,9 @@ def choose_frames(frames: Sequence[FrameResult]) -> list[FrameResult]:
     return sorted(chosen, key=lambda frame: frame.frame)
 
 
-def picture_kinds(compared: Iterable[ComparedFrame], estimator: str) -> list[str]:
-    """All kinds of pictures in these frames, in the order in which they are shown."""
-    kinds = list(dict.fromkeys(kind for frame in compared for kind in frame.pictures))
+def picture_kinds(pictures: Iterable[Mapping[str, str]], estimator: str) -> list[str]:
+    """All kinds of pictures in some frames, in the order in which they are shown."""
+    kinds = list(dict.fromkeys(kind for of_frame in pictures for kind in of_frame))
     leading = ["captured", "ground_truth", estimator, "ambient", "truth"]
     methods = [k for k in leading if k in kinds] + [k for k in kinds if k not in leading and not _is_error(k)]
     errors = [f"error_{method}" for method in methods if f"error_{method}" in kinds]
@@ -135,9 +127,9 @@ def _scrubber(chosen: Sequence[FrameResult]) -> str:
 
 
 def _strip(
-    index: int, frame: FrameResult, compared: ComparedFrame, meanings: Mapping[str, str], outputs: RunOutputs
+    index: int, frame: FrameResult, pictures: Mapping[str, str], meanings: Mapping[str, str], outputs: RunOutputs
 ) -> str:
-    figures = "".join(_figure(kind, meaning, frame.frame, compared, outputs) for kind, meaning in meanings.items())
+    figures = "".join(_figure(kind, meaning, frame, pictures.get(kind), outputs) for kind, meaning in meanings.items())
     return (
         f'<article class="moment" id="m{index}"><h3>{format_moment(frame).capitalize()}</h3>'
         f'<p class="quiet">{_what_happened(frame)}</p><div class="strip">{figures}</div></article>'
@@ -155,21 +147,20 @@ def _what_happened(frame: FrameResult) -> str:
     return " ".join(sentences) or "No new estimate was needed; the last one stays in use."
 
 
-def _figure(kind: str, meaning: str, number: int, compared: ComparedFrame, outputs: RunOutputs) -> str:
+def _figure(kind: str, meaning: str, frame: FrameResult, name_of_file: str | None, outputs: RunOutputs) -> str:
     name = kind_label(kind)
     is_method = kind not in ("captured", "ground_truth") and not _is_error(kind)
     title = code(name) if is_method else escape(name[0].upper() + name[1:])
-    rmse = rmse_of(compared.comparison, kind)
+    rmse = None if frame.compared is None else rmse_of(frame.compared.comparison, kind)
     figure = "" if rmse is None else f' <span class="figure-number">rmse {format_number(rmse)}</span>'
-    picture = _embedded(kind, number, compared, outputs)
+    picture = _embedded(kind, frame.frame, name_of_file, outputs)
     return (
         f"<figure>{picture}<figcaption><strong>{title}</strong>{figure}"
         f'<span class="meaning">{meaning}</span></figcaption></figure>'
     )
 
 
-def _embedded(kind: str, number: int, compared: ComparedFrame, outputs: RunOutputs) -> str:
-    name = compared.pictures.get(kind)
+def _embedded(kind: str, number: int, name: str | None, outputs: RunOutputs) -> str:
     path = outputs.folder / name if name else outputs.picture(kind, number)
     content = _read_png(path, outputs.folder)
     if content is None:
