@@ -55,7 +55,7 @@ def file_of(block: Any) -> str | None:
     if is_packed or block.filepath in ("", "<builtin>") or getattr(block, "source", "") in ("GENERATED", "VIEWER"):
         return None
     is_sequence = getattr(block, "is_sequence", False) or getattr(block, "source", "") == "SEQUENCE"
-    return pattern_of(block, block.filepath, is_sequence=is_sequence)
+    return pattern_of(block.filepath, block.library, is_sequence=is_sequence)
 
 
 def _blocks() -> Iterator[str]:
@@ -70,7 +70,7 @@ def _blocks() -> Iterator[str]:
     others = (*libraries, *bpy.data.volumes, *bpy.data.cache_files, *bpy.data.fonts)
     yield from filter(None, map(file_of, (*shown, *others)))
     for cache in bpy.data.cache_files:
-        yield from (pattern_of(cache, layer.filepath) for layer in cache.layers)
+        yield from (pattern_of(layer.filepath, cache.library) for layer in cache.layers)
 
 
 def _shown(blocks: Any) -> Iterator[Any]:
@@ -87,7 +87,7 @@ def _nodes() -> Iterator[str]:
         tree = owner if isinstance(owner, bpy.types.NodeTree) else owner.node_tree
         nodes = tree.nodes if tree is not None else ()
         paths = [getattr(node, "filepath", "") for node in nodes if getattr(node, "mode", "EXTERNAL") == "EXTERNAL"]
-        yield from (pattern_of(owner, path) for path in paths if path)
+        yield from (pattern_of(path, owner.library) for path in paths if path)
     for tree in bpy.data.node_groups:
         yield from (_pattern_of_node_path(tree, one) for one in paths_of_nodes(tree))
     for item in bpy.data.objects:
@@ -96,7 +96,7 @@ def _nodes() -> Iterator[str]:
 
 def _pattern_of_node_path(owner: bpy.types.ID, one: NodePath) -> str:
     """Of all files whose path begins so, where nodes join the rest."""
-    pattern = pattern_of(owner, one.path)
+    pattern = pattern_of(one.path, owner.library)
     return pattern if one.is_whole else str(Path(pattern, "*")) if one.path.endswith(("/", "\\")) else f"{pattern}*"
 
 
@@ -112,23 +112,19 @@ def _caches() -> Iterator[str]:
             if modifier.type == "OCEAN":
                 folders.append(file if modifier.is_cached else None)
             elif file:
-                yield pattern_of(item, file)
-            yield from (str(Path(pattern_of(item, folder), "**", "*")) for folder in folders if folder)
+                yield pattern_of(file, item.library)
+            yield from (str(Path(pattern_of(folder, item.library), "**", "*")) for folder in folders if folder)
     for owner, cache in point_caches():
         library = owner.library if cache.use_library_path else None
         file = bpy.path.basename(bpy.data.filepath if library is None else library.filepath)
         beside = f"//{cache_folder(Path(file)).name}" if cache.use_disk_cache and cache.is_baked else ""
         folder = cache.filepath if cache.use_external else beside
         if folder:
-            yield str(Path(_pattern(folder, library), POINTS))
+            yield str(Path(pattern_of(folder, library), POINTS))
 
 
-def pattern_of(owner: bpy.types.ID, path: str, *, is_sequence: bool = False) -> str:
-    """The pattern, as of `files_named`, of what Blender reads at `path` for `owner`."""
-    return _pattern(path, owner.library, is_sequence=is_sequence)
-
-
-def _pattern(path: str, library: bpy.types.Library | None, *, is_sequence: bool = False) -> str:
+def pattern_of(path: str, library: bpy.types.Library | None, *, is_sequence: bool = False) -> str:
+    """The pattern, as of `files_named`, of what Blender reads at `path` for a data-block of `library`."""
     named = _from_blend(path, library)
     name = glob.escape(named.name).replace("<UDIM>", 4 * "[0-9]").replace("<UVTILE>", "u*_v*")
     if is_sequence:

@@ -102,11 +102,11 @@ def _missing_files(blocks: Iterable[bpy.types.ID]) -> Iterator[Fault]:
         elif isinstance(block, bpy.types.Object | bpy.types.GeometryNodeTree):
             found = paths_of_modifiers(original) if isinstance(block, bpy.types.Object) else paths_of_nodes(original)
             paths = [one.path for one in found if one.is_whole]
-            files = [(pattern_of(original, path), path, "renders without it") for path in paths]
+            files = [(pattern_of(path, original.library), path, "renders without it") for path in paths]
         else:
             nodes = [node for node in _shader_nodes(original) if node.type == "TEX_IES" and node.mode == "EXTERNAL"]
             paths = [node.filepath for node in nodes if node.filepath]
-            files = [(pattern_of(original, path), path, NO_IES) for path in paths]
+            files = [(pattern_of(path, original.library), path, NO_IES) for path in paths]
         for pattern, path, does in files:
             if pattern is not None and not any(matching(absolute_pattern(pattern, blend_folder()))):
                 said = f"The file of {block.name!r}, {path}, is not there: Cycles {does}. "
@@ -286,7 +286,7 @@ def _is_zone_baked(modifier: bpy.types.NodesModifier, zone: bpy.types.NodesModif
     Python cannot ask for the latter, but packing from an empty folder succeeds only where a bake is packed already.
     """
     folder, own = (zone.directory, "") if zone.use_custom_path else (modifier.bake_directory, str(zone.bake_id))
-    baked = Path(pattern_of(modifier.id_data, folder), own, "meta", "*")
+    baked = Path(pattern_of(folder, modifier.id_data.library), own, "meta", "*")
     if folder and matching(absolute_pattern(str(baked), blend_folder())):
         return True
     if not hasattr(zone, "bake_target"):  # Blender 4.2 packs none.
