@@ -299,22 +299,19 @@ class Painter:
             found[is_it] = self.order[at[is_it]]
         return found
 
-    def paint(self, points: ArrayF64, srgb: ArrayF32 | ArrayF64, white: float) -> ArrayF64:
-        """(P, 3), 0 to 255: points (P, 3) of a room of which `white` is the brightness of what is bright."""
-        grey = np.minimum(srgb @ LUMINANCE / white, 1.0) * BRIGHT
+    def paint(self, points: ArrayF64, srgb: ArrayF32 | ArrayF64) -> ArrayF64:
+        """(P, 3), 0 to 255: points (P, 3) of the room, in sRGB-encoded colours (P, 3)."""
+        brightness = srgb @ LUMINANCE
+        white = max(float(np.percentile(brightness, WHITE_AT)) if len(srgb) else 1.0, 1e-3)
+        grey = np.minimum(brightness / white, 1.0) * BRIGHT
         place, shade = self.place_of(points), SHADE + (1 - SHADE) * grey / BRIGHT
         room = np.repeat(grey[:, None], 3, axis=1)
         return np.where(place[:, None] < 0, room, self.colours[place] * shade[:, None])
 
 
-def _white(srgb: ArrayF32 | ArrayF64) -> float:
-    """The brightness of what is bright in (P, 3) sRGB-encoded colours."""
-    return max(float(np.percentile(srgb @ LUMINANCE, WHITE_AT)) if len(srgb) else 1.0, 1e-3)
-
-
 def _from_above(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
     positions = painter.positions
-    room = RoomFromAbove(frames, positions, AROUND_M, lambda p, srgb: painter.paint(p, srgb, _white(srgb)))
+    room = RoomFromAbove(frames, positions, AROUND_M, painter.paint)
     if painter.are_in_air:
         half = max(1, int(0.28 * painter.spacing_m * room.pixels_per_m))
         for place, colour in zip(positions, painter.colours, strict=True):
@@ -343,7 +340,7 @@ def _through_camera(frames: Sequence[RgbdFrame], painter: Painter) -> ArrayU8:
         best = int(np.argmax([(painter.place_of(np.nan_to_num(cloud, nan=1e9)) >= 0).sum() for cloud in clouds]))
     frame, (which, pixels, distance_m) = frames[best], in_frame[best]
     srgb = frame.srgb_u8.reshape(-1, 3) / 255
-    painted = painter.paint(np.nan_to_num(clouds[best], nan=1e9, posinf=1e9, neginf=-1e9), srgb, _white(srgb))
+    painted = painter.paint(np.nan_to_num(clouds[best], nan=1e9, posinf=1e9, neginf=-1e9), srgb)
     larger = max(1, round(WIDTH_PX / frame.intrinsics.width))
     picture = painted.reshape(frame.srgb_u8.shape).repeat(larger, axis=0).repeat(larger, axis=1)
     if painter.are_in_air:
