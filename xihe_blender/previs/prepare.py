@@ -103,19 +103,25 @@ class PreparedRun:
         return list(dict.fromkeys([self.settings.estimator, *self.settings.others, "ambient", *truth]))
 
     @property
+    def n_renders(self) -> dict[str, int]:
+        """Captures and light probes, without those that an earlier frame has already, and comparisons."""
+        active = [frame for frame in self.plan.frames if self.probes_in_view(frame)]
+        return {
+            "capture": sum(source == frame for frame, source in self.reuse.captures.items()),
+            "probe": sum(source == frame for (frame, _), source in self.reuse.probes.items()),
+            "comparison": len(compared_frames(active, self.settings.preset_values.comparison_step)),
+        }
+
+    @property
     def work(self) -> dict[str, float]:
         """Units of work by stage, in order, as far as can be told from numbers of samples; see PROBE_WORK."""
         if not self.has_truth:
             return {"capture": 0.1 * len(self.plan.frames), "methods": float(len(self.plan.frames))}
-        frames = [frame for frame in self.plan.frames if self.probes_in_view(frame)]
-        n_captures = sum(source == frame for frame, source in self.reuse.captures.items())
-        n_probes = sum(self.reuse.probes[f, p.name] == f for f in frames for p in self.probes_in_view(f))
-        n_compared = len(compared_frames(frames, self.settings.preset_values.comparison_step))
-        megapixels = self.plan.size[0] * self.plan.size[1] / 1e6
-        compared = n_compared * megapixels * self.comparison.samples  # Samples, in millions.
+        n, megapixels = self.n_renders, self.plan.size[0] * self.plan.size[1] / 1e6
+        compared = n["comparison"] * megapixels * self.comparison.samples  # Samples, in millions.
         return {
-            "capture": n_captures * megapixels * self.capture.samples,
-            "reference light": n_probes * PROBE_WORK,
+            "capture": n["capture"] * megapixels * self.capture.samples,
+            "reference light": n["probe"] * PROBE_WORK,
             "ground truth": TRUTH_WORK * compared,
             "methods": (METHODS_WORK_WITH_SHADOWS if self.settings.has_key_light else METHODS_WORK) * compared,
         }
@@ -159,10 +165,13 @@ def prepare_run(
     outputs: RunOutputs,
     settings: PrevisSettings,
     loaded: Sequence[Estimator],
+    *,
+    has_truth: bool = True,
 ) -> Job[PreparedRun]:
     """A job: work out what an earlier part of this run has not left in `outputs`; `survey` is left there too.
 
-    `loaded` are the estimators, as `load_estimators` has them.
+    `loaded` are the estimators, as `load_estimators` has them. Of a recording, of which nothing is rendered and there
+    is no truth, no samples are counted.
     """
     if not outputs.survey.exists():
         write_json(outputs.survey, as_json(survey))
@@ -178,21 +187,27 @@ def prepare_run(
         lambda content: effects_kept(survey, content),
         lambda: effects_as_json(plan_effects(survey.required, choices)),
     )
-    transport = cycles_settings(effects)
-    measuring = measure_sample_count(scene, plan, survey, settings, exposure, transport)
-    told = shown(measuring, Progress(0, 1, "measuring how many samples it takes"))
-    count = yield from kept_or_done(SampleCount, outputs.sample_count, told)
+    count = SampleCount(0)
+    if has_truth:
+        measuring = measure_sample_count(scene, plan, survey, settings, exposure, cycles_settings(effects))
+        told = shown(measuring, Progress(0, 1, "measuring how many samples it takes"))
+        count = yield from kept_or_done(SampleCount, outputs.sample_count, told)
     light = required_light(plan.objects) if settings.light == "auto" else settings.light
     settings = replace(settings, light=light, trigger=above_noise(settings.trigger_in_use, count.capture_change))
     phone = choose_phone(scene, survey, settings)
     needs = phone.needs
-    reuse = render_reuse(survey, effects, needs)
-    return PreparedRun(scene, plan, survey, outputs, settings, loaded, exposure, effects, count, phone, needs, reuse)
+    reuse = render_reuse(survey, effects, needs, has_truth=has_truth)
+    return PreparedRun(
+        scene, plan, survey, outputs, settings, loaded, exposure, effects, count, phone, needs, reuse, has_truth
+    )
 
 
-def render_reuse(survey: SceneSurvey, effects: Mapping[str, Effect], needs: CaptureNeeds) -> RenderReuse:
-    """Of a run that captures what `needs` asks for."""
-    states = each_its_own(survey.frames) if effects["motion blur"].state == "on" else survey.states
+def render_reuse(
+    survey: SceneSurvey, effects: Mapping[str, Effect], needs: CaptureNeeds, *, has_truth: bool = True
+) -> RenderReuse:
+    """Of a run that captures what `needs` asks for; each frame of a recording has a capture of its own."""
+    is_reused = has_truth and effects["motion blur"].state != "on"
+    states = survey.states if is_reused else each_its_own(survey.frames)
     in_view = {frame: one.in_view for frame, one in survey.frames.items() if frame in needs.captured}
     return plan_render_reuse(states, in_view, survey.moved)
 

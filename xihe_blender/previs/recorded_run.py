@@ -14,28 +14,21 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from xihe_blender.apply.reflection_pictures import required_light
 from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.footage.import_capture import capture_of, captured_frames, read_captured, steadied_frames
-from xihe_blender.io.json_records import as_json
 from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.io.run_results import RecordingResult
 from xihe_blender.jobs import Job
-from xihe_blender.light_transport.overrides import overrides_in_force
-from xihe_blender.light_transport.render_reuse import each_its_own, plan_render_reuse
 from xihe_blender.previs.plan import PrevisPlan, planned_frames
-from xihe_blender.previs.prepare import PreparedRun
-from xihe_blender.previs.sample_count import SampleCount
+from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.previs.simulated_phone import choose_phone
 from xihe_blender.previs.survey import SceneSurvey, names_seen
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.replay import REPLAY_TRIGGER
-from xihenet.effects import plan_effects
 from xihenet.estimators import Estimator
 from xihenet.io.recording import save_frame
 
@@ -123,23 +116,9 @@ def prepare_recorded(
     recorded: RecordedSession,
     loaded: Sequence[Estimator],
 ) -> Job[PreparedRun]:
-    """A job: as `prepare_run`, with the captures in place; nothing is metered, and no samples are counted."""
-    if not outputs.survey.exists():
-        write_json(outputs.survey, as_json(survey))
-    plan = survey.followed(plan)
-    survey = seen_by_phone(survey, plan, recorded.frames)
-    settings = recorded.settings
-    if settings.light == "auto":
-        settings = replace(settings, light=required_light(plan.objects))
-    effects = plan_effects(survey.required, overrides_in_force(scene, settings.effect_choices))
-    phone = choose_phone(scene, survey, settings)
-    captured = {frame: one.in_view for frame, one in survey.frames.items() if frame in phone.needs.captured}
-    reuse = plan_render_reuse(each_its_own(survey.frames), captured, survey.moved)
-    assert settings.exposure is not None
-    run = PreparedRun(
-        scene, plan, survey, outputs, settings, loaded, settings.exposure, effects, SampleCount(0), phone, phone.needs,
-        reuse, has_truth=False,
-    )  # fmt: skip
+    """A job: as `prepare_run`, with the captures in place."""
+    survey = seen_by_phone(survey, survey.followed(plan), recorded.frames)
+    run = yield from prepare_run(scene, plan, survey, outputs, recorded.settings, loaded, has_truth=False)
     yield from _keep_captures(run, recorded)
     return run
 

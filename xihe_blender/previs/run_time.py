@@ -37,7 +37,7 @@ from xihe_blender.light_transport import cycles_settings
 from xihe_blender.light_transport.overrides import overrides_in_force
 from xihe_blender.previs.budget_chain import EVERY_FRAME, SessionParts, lights_in_use, sight
 from xihe_blender.previs.error_budget import MOST_LOOKS, N_MOMENTS, N_SEEDS
-from xihe_blender.previs.plan import check_is_rendered, compared_frames, plan_previs
+from xihe_blender.previs.plan import check_is_rendered, plan_previs
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
 from xihe_blender.previs.presets import PRESETS
 from xihe_blender.previs.sample_count import measure_captures, pilot_views, samples_taken
@@ -115,11 +115,10 @@ def run_time_job(scene: bpy.types.Scene, settings: PrevisSettings) -> Job[tuple[
 
 
 def _measured(run: PreparedRun, prepared_s: float) -> Job[tuple[RunTime, RunTime]]:
-    """From a few renders of each kind, spread over the frames in which a position is in view."""
-    active = list(run.reuse.captures)
-    if not active:
+    """From a few renders of each kind, spread over the frames that are captured."""
+    if not run.reuse.captures:
         return RunTime(prepared_s, {}), RunTime(prepared_s, {})
-    frames = [active[k * len(active) // N_RENDERS] for k in range(N_RENDERS)]
+    frames = [list(run.reuse.captures)[k * len(run.reuse.captures) // N_RENDERS] for k in range(N_RENDERS)]
     with open_scanner(run.scene, run.capture) as scanner:
         scanner.exposure = run.exposure
         captured: dict[int, RgbdFrame] = {}
@@ -133,11 +132,9 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[tuple[RunTime, RunTime
     probe_loaded_s, probe, ball = yield from shown(_timed_probe(run), Progress(2, 4, "measuring a light probe"))
     comparing = _timed_comparison(run, frames, captured)
     comparison_loaded_s, comparison = yield from shown(comparing, Progress(3, 4, "measuring a comparison"))
-    n_captures = sum(source == frame for frame, source in run.reuse.captures.items())
-    n_probes = sum(source == frame for (frame, _), source in run.reuse.probes.items())
-    n_comparisons = len(compared_frames(active, run.settings.preset_values.comparison_step))
-    renders = {"capture": (n_captures, capture), "probe": (n_probes, probe), "comparison": (n_comparisons, comparison)}
-    budget_renders = _budget_renders(run, n_captures, capture, ball)
+    times = {"capture": capture, "probe": probe, "comparison": comparison}
+    renders = {kind: (n, times[kind]) for kind, n in run.n_renders.items()}
+    budget_renders = _budget_renders(run, capture, ball)
     if "truth_sh" not in run.estimator.needs:  # Of the true light there is no error budget.
         budget_renders["chain"] = _budget_chain(run, captured)
     budget_loaded_s = N_SEEDS * (2 * capture_loaded_s + probe_loaded_s)
@@ -145,13 +142,11 @@ def _measured(run: PreparedRun, prepared_s: float) -> Job[tuple[RunTime, RunTime
     return RunTime(prepare_s, renders), RunTime(prepared_s + budget_loaded_s, budget_renders)
 
 
-def _budget_renders(
-    run: PreparedRun, n_captures: int, capture: RenderTime, ball: RenderTime
-) -> dict[str, tuple[int, RenderTime]]:
+def _budget_renders(run: PreparedRun, capture: RenderTime, ball: RenderTime) -> dict[str, tuple[int, RenderTime]]:
     """Those of an error budget, at most; it captures the whole path, and a look is six squares."""
     n_probes, n_states = len(run.plan.probes), len({state.room for state in run.reuse.states.values()})
     n_looks = min(MOST_LOOKS, len(run.plan.frames)) + n_probes * min(MOST_LOOKS, n_states)
-    n_captures += len(run.plan.frames) - len(run.reuse.captures)
+    n_captures = run.n_renders["capture"] + len(run.plan.frames) - len(run.reuse.captures)
     look = replace(capture, per_sample_s=capture.per_sample_s * min(run.plan.size) / max(run.plan.size))
     return {
         "capture": (N_SEEDS * n_captures, capture),
