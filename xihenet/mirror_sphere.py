@@ -55,12 +55,5 @@ def mirror_sphere_cloud(
     directions, depth_m, on_sphere = reflected_directions(frame, centre_m, radius_m)
     seen_m = np.where(frame.plane_depth_m > 0, frame.plane_depth_m, MISS_PLANE_DEPTH_M)
     is_seen = on_sphere & ~np.isnan(frame.plane_depth_m) & (seen_m >= np.nan_to_num(depth_m) * (1 - TOLERANCE))
-    anchors = lattice.nearest(directions[is_seen])
-    colours = srgb_to_linear(frame.srgb_u8[is_seen] / 255.0)
-    counts = np.bincount(anchors, minlength=len(lattice))
-    sums = np.stack([np.bincount(anchors, colours[:, channel], len(lattice)) for channel in range(3)], axis=1)
-    is_set = counts > 0
-    means = np.where(is_set[:, None], sums / np.maximum(counts, 1)[:, None], 0.0)
-    return UnitSphereCloud(
-        np.where(is_set[:, None], linear_to_srgb(means), 0.0).astype(np.float32), is_set.astype(np.float32), is_set
-    )
+    means, is_set = lattice.means(directions[is_seen], srgb_to_linear(frame.srgb_u8[is_seen] / 255.0))
+    return UnitSphereCloud(linear_to_srgb(means).astype(np.float32), is_set.astype(np.float32), is_set)

@@ -83,6 +83,19 @@ class AnchorLattice:
             return _look_up(columns, _angular_table(self.n, *table_size))
         return _largest_cosine(_rescaled(columns), self.directions)
 
+    def means(
+        self, directions: ArrayF64, values: ArrayLike, weights: ArrayF64 | None = None
+    ) -> tuple[ArrayF64, ArrayBool]:
+        """(n, 3) the mean of `values` (P, 3) over the directions (P, 3) around each anchor, and (n,) which have any.
+
+        0 for those that have none. `weights` (P,), if any, are such as solid angles.
+        """
+        anchors = self.nearest(directions)
+        of_each = np.ones(len(anchors)) if weights is None else weights
+        total = np.bincount(anchors, of_each, self.n)
+        sums = [np.bincount(anchors, of_each * channel, self.n) for channel in np.asarray(values).T]
+        return np.stack(sums, axis=1) / np.where(total > 0, total, 1.0)[:, None], total > 0
+
     def neighbours(self, k: int) -> ArrayInt:
         """(n, k) for each anchor itself and its k - 1 nearest, nearest first, lower index first if equally near.
 

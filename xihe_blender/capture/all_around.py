@@ -84,24 +84,20 @@ def solid_angles(intrinsics: Intrinsics) -> ArrayF64:
 
 def light_of_views(views: Sequence[tuple[RgbdFrame, ArrayF32]]) -> ArrayF64:
     """(9, 3) the light that six pictures around a place show: their radiance, not clipped, in scene radiance."""
-    directions, arriving, _ = _all_pixels(views)
-    light: ArrayF64 = basis(directions, 2).T @ arriving
+    directions, radiance, solid_angle = _all_pixels(views)
+    light: ArrayF64 = basis(directions, 2).T @ (radiance * solid_angle[:, None])
     return light
 
 
 def means_of_anchors(views: Sequence[tuple[RgbdFrame, ArrayF32]], lattice: AnchorLattice) -> ArrayF64:
     """(N, 3) the mean scene radiance of all that six pictures around a place show in each anchor's directions."""
-    directions, arriving, solid_angle = _all_pixels(views)
-    anchors, sums, covered = lattice.nearest(directions), np.zeros((lattice.n, 3)), np.zeros(lattice.n)
-    np.add.at(sums, anchors, arriving)
-    np.add.at(covered, anchors, solid_angle)
-    means: ArrayF64 = sums / np.maximum(covered, np.finfo(np.float64).tiny)[:, None]
-    return means
+    directions, radiance, solid_angle = _all_pixels(views)
+    return lattice.means(directions, radiance, solid_angle)[0]
 
 
 def _all_pixels(views: Sequence[tuple[RgbdFrame, ArrayF32]]) -> tuple[ArrayF64, ArrayF64, ArrayF64]:
-    """Of all pixels: unit directions (P, 3), radiance times solid angle (P, 3), and solid angles (P,)."""
+    """Of all pixels: unit directions (P, 3), radiance (P, 3), and solid angles (P,)."""
     rays = np.concatenate([(pixel_rays(s.intrinsics) @ s.world_from_camera[:3, :3].T).reshape(-1, 3) for s, _ in views])
     weights = np.concatenate([solid_angles(seen.intrinsics).ravel() for seen, _ in views])
     radiance = np.concatenate([np.nan_to_num(picture.reshape(-1, 3), posinf=0.0, neginf=0.0) for _, picture in views])
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True), radiance * weights[:, None], weights
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True), radiance, weights

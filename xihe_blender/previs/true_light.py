@@ -88,10 +88,6 @@ def true_view(run: PreparedRun, probe: Probe, frame: int, lattice: AnchorLattice
     radiance = panorama.reshape(-1, 3)
     if run.settings.has_reflections:
         radiance = seen_in_ball(read_radiance(run.outputs.mirror_ball(index, probe.name, source)), directions)
-    anchors, weights = lattice.nearest(directions), solid_angles(height, width).ravel()
-    total = np.bincount(anchors, weights, len(lattice))
-    sums = [np.bincount(anchors, weights * radiance[:, channel].clip(0), len(lattice)) for channel in range(3)]
-    is_set = total > 0
-    means = np.stack(sums, axis=1) / np.where(is_set, total, 1.0)[:, None]
+    means, is_set = lattice.means(directions, radiance.clip(0), solid_angles(height, width).ravel())
     shown = linear_to_srgb(means / max(float(means.max()), 1e-12)).astype(np.float32)
     return UnitSphereCloud(shown, is_set.astype(np.float32), is_set)

@@ -138,11 +138,8 @@ def fill_reflections(cloud: UnitSphereCloud, lattice: AnchorLattice, light: Obje
 def rendered_reflections(ball: ArrayF32, lattice: AnchorLattice) -> Reflections:
     """Those of a mirror ball's picture (N, N, 3): the mean of what it shows in each anchor's directions."""
     directions = panorama_directions(FINE_HEIGHT, 2 * FINE_HEIGHT).reshape(-1, 3)
-    weights, anchors = solid_angles(FINE_HEIGHT, 2 * FINE_HEIGHT).ravel(), lattice.nearest(directions)
-    shown = np.maximum(seen_in_ball(ball, directions), 0) * weights[:, None]
-    sums = np.stack([np.bincount(anchors, shown[:, c], len(lattice)) for c in range(3)], axis=1)
-    covered = np.bincount(anchors, weights, len(lattice))
-    return Reflections((sums / covered[:, None]).astype(np.float32), 1.0)
+    weights, shown = solid_angles(FINE_HEIGHT, 2 * FINE_HEIGHT).ravel(), np.maximum(seen_in_ball(ball, directions), 0)
+    return Reflections(lattice.means(directions, shown, weights)[0].astype(np.float32), 1.0)
 
 
 def _faded(difference: ArrayF64, seen: ArrayBool, around: ArrayInt) -> ArrayF64:
