@@ -9,7 +9,8 @@ and what is as in an earlier frame is taken over from there. Everything is kept 
 it.
 
 Then each captured frame, in order, is seen by the phone (`simulated_phone`) and goes through the controller of its
-session (`xihenet.phone.session`); estimates come back over its network.
+session (`xihenet.phone.session`); estimates come back over its network. Before that comes the camera path, `survey`,
+and after it apply, in `previs`, and compare, `compare_path`.
 """
 
 from __future__ import annotations
