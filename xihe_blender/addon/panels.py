@@ -27,7 +27,7 @@ from xihe_blender.addon.failures import in_the_panels_words
 from xihe_blender.addon.look_operators import advice_for, other_cameras
 from xihe_blender.addon.planning_operators import calibration_line, known_times
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
-from xihe_blender.addon.runs_folder import found_folder, last_run, other_unit
+from xihe_blender.addon.runs_folder import RUN_IS_GONE, found_folder, last_run, other_unit
 from xihe_blender.apply.datablocks import moved_positions
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import virtual_objects
@@ -490,7 +490,7 @@ def as_sentence(words: str) -> str:
 def missing_run(folder: str, is_under_way: bool) -> str:
     if is_under_way:
         return "No results yet: the run is under way"
-    return "The folder of the last run is gone: run again" if folder else "No results yet: press Run"
+    return RUN_IS_GONE if folder else "No results yet: press Run"
 
 
 def result_rows(run: RunResults) -> list[tuple[str, str, str]]:

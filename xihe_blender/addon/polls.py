@@ -14,7 +14,7 @@ import bpy
 from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.properties import last_run_folder
-from xihe_blender.addon.runs_folder import shown_runs
+from xihe_blender.addon.runs_folder import RUN_IS_GONE, shown_runs
 from xihe_blender.apply.datablocks import ROOM, has_anything, trigger_markers
 from xihe_blender.io.old_runs import old_runs, runs_in
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
@@ -228,7 +228,7 @@ def has_last_run(context: bpy.types.Context) -> str | None:
     if not context.scene.xihe.run_folder:
         return "There are no results yet: run first"
     has_it = last_run_folder(context.scene).joinpath("results.json").is_file()
-    return None if has_it else "The last run's folder is gone: run again"
+    return None if has_it else RUN_IS_GONE
 
 
 def has_unshown_run(context: bpy.types.Context) -> str | None:

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from xihe_blender.io.budget_results import BudgetResults
     from xihe_blender.io.run_results import RunResults
 
+RUN_IS_GONE = f"The last run's folder is not here: put the folder {RUNS} beside this file, or run again"
+"""As a colleague reads it who was sent the .blend alone."""
+
 
 def new_run_folder(scene: bpy.types.Scene) -> Path:
     """A new, empty folder for a run, named by the file and the time.
