@@ -14,7 +14,7 @@ from previs_runs import DRAFT, N_FRAMES, PlainPrevis, run, walk
 from renders import pixels_of_file, rendered_picture
 from scene_snapshot import data_blocks, differences, nothing_changes, snapshot
 from shown_lights import keyed, shown_light
-from tiny_scenes import box, empty_scene, material, opened, room_with_a_virtual_sphere, saved, sphere
+from tiny_scenes import add_instance, box, empty_scene, material, opened, room_with_a_virtual_sphere, saved, sphere
 
 from xihe_blender.addon import leftovers, light_operators
 from xihe_blender.addon.live_light import misplaced
@@ -117,6 +117,10 @@ def test_no_line_of_the_room_is_drawn_over_the_captured_frame():
     edges = bpy.data.objects.new("Edges", bpy.data.meshes.new("Edges"))
     add_loose_edge(edges.data)
     scene.collection.objects.link(edges)
+    path = bpy.data.curves.new("Path", "CURVE")
+    path.splines.new("POLY").points.add(3)
+    scene.collection.objects.link(bpy.data.objects.new("Path", path))
+    add_instance(scene, bpy.data.collections.new("Set"))
     fog = box(scene, "Fog", (0, 0, 0), (1, 1, 1), material("Fog")).data.materials[0].node_tree
     fog.nodes.clear()
     output = fog.nodes.new("ShaderNodeOutputMaterial")
@@ -127,7 +131,8 @@ def test_no_line_of_the_room_is_drawn_over_the_captured_frame():
     hide_behind_room(lit, scene, [])
     shown = {name: bpy.data.objects[f"Xihe Lit {name}"] for name in ("Table", "Lamp", "Skinned")}
     assert {(item.display_type, item.show_wire) for item in shown.values()} == {("TEXTURED", False)}
-    assert not {"Xihe Lit Edges", "Xihe Lit Fog"} & set(bpy.data.objects.keys())
+    assert bpy.data.objects["Xihe Lit Instance"].empty_display_size < 0.001
+    assert not {"Xihe Lit Edges", "Xihe Lit Fog", "Xihe Lit Path"} & set(bpy.data.objects.keys())
     mesh = shown["Lamp"].data
     assert not any(edge.is_loose for edge in mesh.edges) and len(mesh.edges) == n_edges
     assert len(mesh.vertices) == len(lamp.data.vertices) and len(mesh.polygons) == len(lamp.data.polygons)

@@ -22,6 +22,7 @@ from xihe_blender.scene.virtual_objects import (
     ancestors,
     collections_of,
     has_renderable_geometry,
+    is_bare_curve,
     virtual_objects,
     with_parts,
 )
@@ -111,7 +112,7 @@ def doubts(scene: bpy.types.Scene) -> list[str]:
 def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
     virtual, rendered = virtual_objects(scene), _rendered_objects(scene)
     unseen = [item.name for item in virtual if item not in rendered]
-    bare = [item.name for item in virtual if _is_bare_curve(item)]
+    bare = [item.name for item in virtual if is_bare_curve(item)]
     inserted = set(virtual)
     left = [item.name for item in scene.objects if item.parent is not None and _is_left_in_room(item, inserted)]
     around = [item.name for item in virtual if any(_encloses(item, camera) for camera in _cameras(scene))]
@@ -147,14 +148,6 @@ def _rendered_objects(scene: bpy.types.Scene) -> set[bpy.types.Object]:
         if collection in virtual:
             found.update(item for item in collection.objects if not item.hide_render or _is_animated(item))
     return found
-
-
-def _is_bare_curve(item: bpy.types.Object) -> bool:
-    """Whether it is a curve that nothing makes a surface of."""
-    if item.type != "CURVE" or item.modifiers or item.data.bevel_depth or item.data.extrude or item.data.bevel_object:
-        return False
-    is_filled = item.data.dimensions == "2D" and item.data.fill_mode != "NONE"
-    return not (is_filled and any(spline.use_cyclic_u for spline in item.data.splines))
 
 
 def _is_left_in_room(item: bpy.types.Object, virtual: set[bpy.types.Object]) -> bool:

@@ -41,7 +41,7 @@ from xihe_blender.scene.phone_capture import CAPTURE, SCAN
 from xihe_blender.scene.shader_nodes import Interaction, material_shading
 from xihe_blender.scene.state import animated_paths, remove_copied_scene, show_to_camera_alone
 from xihe_blender.scene.units import metres_per_unit
-from xihe_blender.scene.virtual_objects import has_renderable_geometry, listed, virtual_collection
+from xihe_blender.scene.virtual_objects import has_renderable_geometry, is_bare_curve, listed, virtual_collection
 from xihenet.io.frame_files import FrameCamera
 
 PHONE = "Xihe Phone"
@@ -204,8 +204,8 @@ def _is_simulated(item: bpy.types.Object) -> bool:
 
 
 def _may_hide(item: bpy.types.Object) -> bool:
-    """Whether it may have a surface: a mesh of edges or points alone has none, nor has one of fog."""
-    if _is_fog(item):
+    """Whether it may have a surface: a mesh of edges or points alone has none, nor has a path, or one of fog."""
+    if _is_fog(item) or is_bare_curve(item):
         return False
     if item.type == "MESH":
         return bool(item.data.polygons or item.modifiers)
@@ -228,7 +228,7 @@ def _draw_no_lines(copied: bpy.types.Object, tidied: dict[bpy.types.ID, bpy.type
     render shows them: `tidied` holds the data without them.
     """
     copied.show_wire = copied.show_name = copied.show_axis = copied.show_bounds = copied.show_in_front = False
-    copied.display_type = "TEXTURED"
+    copied.display_type, copied.empty_display_size = "TEXTURED", 0.0
     if copied.type == "MESH" and not any(modifier.type in _FROM_EDGES for modifier in copied.modifiers):
         if copied.data not in tidied:
             tidied[copied.data] = _without_loose_edges(copied.data)

@@ -262,3 +262,11 @@ def has_renderable_geometry(object: bpy.types.Object) -> bool:
     if object.type == "EMPTY":
         return object.instance_type == "COLLECTION" and object.instance_collection is not None
     return object.type in GEOMETRY_TYPES
+
+
+def is_bare_curve(item: bpy.types.Object) -> bool:
+    """Whether it is a curve that nothing makes a surface of."""
+    if item.type != "CURVE" or item.modifiers or item.data.bevel_depth or item.data.extrude or item.data.bevel_object:
+        return False
+    is_filled = item.data.dimensions == "2D" and item.data.fill_mode != "NONE"
+    return not (is_filled and any(spline.use_cyclic_u for spline in item.data.splines))
