@@ -8,7 +8,7 @@ import pytest
 
 from addon_tests.pure.made import random_cloud, without_surfaces
 from xihenet.colour import linear_to_srgb, srgb_to_linear
-from xihenet.records import AnchorSurfaces, UnitSphereCloud
+from xihenet.records import AnchorSurfaces, TriggerDecision, UnitSphereCloud
 from xihenet.sphere import AnchorLattice
 from xihenet.trigger import RULES, LastSeen, Policy, Rule, TriggerSettings, colour_change, decide_trigger
 
@@ -163,6 +163,32 @@ def test_another_surface_behind_an_edge_is_not_asked():
     assert decide_trigger(without_surfaces(before), without_surfaces(after), LATTICE, WALK).reason == "colour"
 
 
+def test_what_is_seen_from_another_angle_is_asked_where_it_is_the_same_surface_and_all_else_as_ever():
+    rng, window, ones = np.random.default_rng(3), LATTICE.neighbours(4), np.ones(N, np.float32)
+    is_turned, nearness = rng.random(N) < 0.5, rng.choice([0.5, 0.97, 1.0, 1.01, 1.5], N)
+    colours = textured(0), textured(1)
+    clouds = [
+        UnitSphereCloud(srgb, ROOM_M * scale, ones > 0, surfaces=AnchorSurfaces(0 * ones, 1e4 * ones, np.eye(3)[axis]))
+        for srgb, scale, axis in zip(colours, (ones, nearness), (0 * is_turned, 1 * is_turned), strict=True)
+    ]
+    asked, change = ~is_turned | (np.abs(nearness - 1) <= 0.02), ((colours[1] - colours[0]) ** 2).mean(axis=1)
+    pooled = [np.mean([change[k] * ~is_turned[k] for k in window[i] if asked[k]]) for i in np.flatnonzero(asked)]
+    decision = decide_trigger(*clouds, LATTICE, TriggerSettings(0.02, coverage_theta=1.0))
+    assert decision.change == pytest.approx(max(pooled), rel=1e-5)
+    assert decision.n_changed_anchors == sum(value > 0.02 for value in pooled) > 10
+
+
+@pytest.mark.parametrize(
+    ("last", "threshold"),
+    [(None, 0.01), (("none", False), 0.01), (("coverage", True), 0.01), (("colour", True), 0.015)],
+)
+def test_right_after_a_fire_for_colour_the_threshold_is_raised_by_its_share(last, threshold):
+    eager = TriggerSettings(theta=0.01, hysteresis=0.5, coverage_theta=1.0)
+    before = last and TriggerDecision(last[1], last[0], 1.0, 0.01)
+    decision = decide_trigger(cloud(True), cloud(True, 0.5 + np.sqrt(0.012)), LATTICE, eager, last=before)
+    assert (decision.threshold, decision.fire) == (pytest.approx(threshold), threshold < 0.012)
+
+
 def test_surfaces_of_which_nothing_is_known_are_asked_as_ever():
     before, after = seen_from(NEAR, textured(0)), seen_from(FAR, textured(1))
     zeros = np.zeros(N, np.float32)
@@ -183,6 +209,9 @@ def test_a_theta_of_zero_fires_at_any_change_reflections_included():
     before, after = (seen_from(place, with_reflections(textured(), k)) for k, place in enumerate((NEAR, FAR)))
     assert decide_trigger(before, after, LATTICE, RULES["every-frame"]).reason == "colour"
     assert not decide_trigger(after, after, LATTICE, RULES["every-frame"]).fire
+    dimmed = cloud(np.arange(N) > 0, 0.4).srgb + cloud(np.arange(N) < 1, 0.5).srgb
+    decision = decide_trigger(cloud(True, 0.4), replace(cloud(True), srgb=dimmed), LATTICE, RULES["every-frame"])
+    assert decision.n_changed_anchors == (LATTICE.neighbours(4) == 0).any(axis=1).sum()
 
 
 @pytest.mark.parametrize("seed", range(5))
