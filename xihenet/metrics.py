@@ -20,8 +20,8 @@ scale-invariant RMSE there sum the squares over the channels and divide by pixel
 angle counts a black pixel of either picture as 0 degrees and anything beyond 90 as 90, so it lies below ours. Their
 masks are all pixels of the prediction with an alpha above 0, and their spheres were rendered under panoramas that were
 tone-mapped (gamma 2.4, the median at 0.5, not clipped), not under linear light. The table for arrays of spheres in
-DiffusionLight-evaluation divides by channels as well, as we do, and drops pixels whose angle is NaN. Normalised RMSE
-was added by DiffusionLight, not by StyleLight; see `normalized_rmse`.
+DiffusionLight-evaluation divides by channels as well, as we do, and drops pixels whose angle is NaN. The normalised
+RMSE that DiffusionLight added is not here.
 
 No number here tracks what people prefer.
 """
@@ -34,11 +34,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.colour import LUMINANCE
-from xihenet.records import ArrayBool, ArrayF64
+from xihenet.records import ArrayF64
 
 RANGE_TOLERANCE = 1e-4  # Renderers sum alpha and colour in float32 and end up a little above 1.
-NORMALIZED_FROM, NORMALIZED_TO = 0.01, 99.9  # per cent
-SMALLEST_RANGE = 1e-12  # Of the largest value: what is left of a constant picture after rounding is no range.
 SSIM_SIGMA = 1.5
 SSIM_RADIUS = 5  # 11 x 11, as Wang et al. 2004
 SSIM_K1, SSIM_K2 = 0.01, 0.03
@@ -160,37 +158,6 @@ def si_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float |
     power = np.einsum("hwc,hwc,hw->", scaled, scaled, weights)
     alpha = np.einsum("hwc,hwc,hw->", scaled, true, weights) / power if power > 0 else 0.0
     return _root_mean_square(alpha * scaled - true, weights)
-
-
-def normalized_rmse(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> float | None:
-    """RMSE after both pictures have been brought to one range, each by itself: neither exposure nor black level counts.
-
-    The values at NORMALIZED_FROM and NORMALIZED_TO per cent of a picture, over all its pixels and channels, become 0
-    and 1; nothing is clipped. None for an empty mask, and where nearly all of either picture is one value, so that it
-    has no range: a single lamp on black, or constant light.
-
-    As in DiffusionLight's script (see the module), which takes it from ExpandNet (Marnerides et al. 2018), but for two
-    things: its percentiles are those of the whole rendered file, the empty pixels around the sphere included, and ours
-    of the pixels with a weight; and it is sqrt(3) times ours. The percentiles are the script's; whether the paper's
-    text has the same was not checked.
-    """
-    predicted, true, weights = _checked_images(prediction, truth, mask)
-    if not weights.any():
-        return None
-    ranged = [_ranged(image, weights > 0) for image in (predicted, true)]
-    if ranged[0] is None or ranged[1] is None:
-        return None
-    return _root_mean_square(ranged[0] - ranged[1], weights)
-
-
-def _ranged(image: ArrayF64, is_inside: ArrayBool) -> ArrayF64 | None:
-    """(H, W, 3) with its low and high percentiles at 0 and 1, and 0 outside; None without a range."""
-    # By a power of two, which rounds nothing: the difference of two large numbers could leave float64.
-    scaled = np.ldexp(image, -np.frexp(np.abs(image).max())[1])
-    low, high = np.percentile(scaled[is_inside], (NORMALIZED_FROM, NORMALIZED_TO))
-    if high - low <= SMALLEST_RANGE:
-        return None
-    return np.where(is_inside[..., None], (scaled - low) / (high - low), 0.0)
 
 
 def hues(image: ArrayF64) -> tuple[ArrayF64, ArrayF64]:

@@ -11,7 +11,6 @@ from xihenet.metrics import (
     angular_error,
     angular_error_deg,
     image_rmse,
-    normalized_rmse,
     psnr,
     share_above_white,
     shc_rmse,
@@ -23,7 +22,7 @@ from xihenet.sh import project_panorama
 Metric = Callable[..., float | None]
 Image = NDArray[np.float64]
 
-IMAGE_METRICS: list[Metric] = [image_rmse, si_rmse, normalized_rmse, angular_error_deg, psnr, ssim]
+IMAGE_METRICS: list[Metric] = [image_rmse, si_rmse, angular_error_deg, psnr, ssim]
 EVERY_METRIC = pytest.mark.parametrize("metric", IMAGE_METRICS, ids=lambda metric: metric.__name__)
 DISPLAY_METRIC = pytest.mark.parametrize("metric", [psnr, ssim], ids=lambda metric: metric.__name__)
 FULL = np.ones((12, 15), bool)
@@ -47,35 +46,6 @@ def test_shc_rmse_has_known_answers():
     one_off[4, 1] = 1
     assert shc_rmse(one_off, np.zeros((9, 3))) == pytest.approx(1 / math.sqrt(27))
     assert shc_rmse(one_off, one_off) == 0
-
-
-@pytest.mark.parametrize("mask", [FULL, blob() > 0], ids=["all", "blob"])
-def test_normalized_rmse_is_that_of_pictures_brought_to_their_percentiles(mask):
-    a, b = images()
-    ranged = [
-        (image[mask] - np.percentile(image[mask], 0.01)) / np.subtract(*np.percentile(image[mask], (99.9, 0.01)))
-        for image in (a, b)
-    ]
-    expected = np.sqrt(np.mean((ranged[0] - ranged[1]) ** 2))
-    assert normalized_rmse(a, b, mask) == pytest.approx(expected, rel=1e-12)
-
-
-@pytest.mark.parametrize(("factor", "offset"), [(1e-300, 0.0), (0.25, 0.0), (3.0, 7.0), (1e300, 1e299)])
-def test_normalized_rmse_sees_neither_exposure_nor_black_level(factor, offset):
-    a, b = images()
-    expected = normalized_rmse(a, b, FULL)
-    assert normalized_rmse(factor * a + offset, b, FULL) == pytest.approx(expected, rel=1e-9)
-    assert normalized_rmse(a, factor * b + offset, FULL) == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("value", [0.0, 0.3, -1e200])
-def test_a_picture_of_one_value_has_no_range_and_no_normalized_rmse(value):
-    a, _ = images()
-    constant = np.full_like(a, value)
-    assert normalized_rmse(constant, a, FULL) is None and normalized_rmse(a, constant, FULL) is None
-    lamp = np.zeros((100, 100, 3))
-    lamp[3, 4], lamp[5, 6] = 1.0, 1e-300
-    assert normalized_rmse(lamp, lamp, np.ones((100, 100))) is None
 
 
 @EVERY_METRIC
