@@ -89,6 +89,8 @@ def test_lamps_and_guesses_count_by_their_logarithm_and_in_hdr_guesses_by_how_su
         size = np.sqrt(np.mean(added**2))
         net.layer("error").bias.fill_(float(np.log(np.expm1(4 * size))))
         said, expected_error = net.eval()(*cloud)
+    in_numpy = LatticeNetwork(weights_of(net, target), 1280).run(*map(np.asarray, cloud))[0]
+    np.testing.assert_allclose(in_numpy, said, rtol=1e-3, atol=2e-6)
     doubt = 0.3 * float(expected_error[0]) / mean.mean() / size
     share = 1 / (1 + doubt**4) if target == "hdr" and not has_lamps else 1.0
     unit *= np.sqrt(np.mean(seen**2)) * (1.0 if has_lamps else (1 - known.mean()) ** 2)
