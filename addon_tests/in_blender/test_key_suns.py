@@ -87,14 +87,15 @@ def test_a_sun_is_keyed_and_shines_only_where_there_is_a_key_light():
     scene, key = empty_scene(), key_light((1, 0, 0))
     sun = make_key_sun("Xihe Key Light A")
     scene.collection.objects.link(sun)
-    key_sun_changes(sun, {1: None, 5: key, 9: None}, 2.0)
+    key_sun_changes(sun, {1: None, 5: key, 9: None, 11: key, 14: key_light((0, 0, 1))}, 2.0)
     energies = []
     for frame in (1, 4, 5, 8, 9):
         scene.frame_set(frame)
         energies.append(sun.data.energy)
     assert energies == pytest.approx([0, 0, 1.5, 1.5, 0])
-    scene.frame_set(6)
-    assert np.array(sun.matrix_world.col[2][:3]) == pytest.approx(key.direction, abs=1e-6)
+    for frame, direction in ((14, (0, 0, 1)), (13, key.direction), (6, key.direction)):
+        scene.frame_set(frame)
+        assert np.array(sun.matrix_world.col[2][:3]) == pytest.approx(direction, abs=1e-6)
     assert tuple(sun.data.color) == pytest.approx((1, 2 / 3, 1 / 3)) and sun.data.angle == pytest.approx(0.2)
     before = [a.name for a in bpy.data.actions]
     assert before and make_key_sun("Xihe Key Light A").data.energy == 0 and len(key_suns()) == 1
