@@ -212,6 +212,8 @@ def test_a_turned_view_is_level_and_looks_where_it_is_said():
 )
 def test_a_look_is_said_in_words_as_seen_from_the_phone(yaw_deg, pitch_deg, words):
     assert direction_words(yaw_deg, pitch_deg, facing(0)) == words
+    if pitch_deg < 60:
+        assert direction_words(yaw_deg, pitch_deg - 40, facing(90, -40)) == words
 
 
 def test_looks_are_within_reach_and_at_frames_of_the_path():
@@ -220,6 +222,9 @@ def test_looks_are_within_reach_and_at_frames_of_the_path():
     for looks in (looks_of(path, narrow), random_looks(path, 50, np.random.default_rng(1), narrow)):
         assert looks and all(look.turn_deg <= 60.001 and look.frame < 40 for look in looks)
     assert len({look.frame for look in looks_of(path, narrow)}) == 5
+    all_around = random_looks(path, 200, np.random.default_rng(1), LookSettings(largest_turn_deg=180.0))
+    sines = np.sin(np.radians([look.pitch_deg for look in all_around]))
+    assert np.abs(sines).mean() == pytest.approx(0.5, abs=0.05)
 
 
 def test_the_same_seed_gives_the_same_random_looks():

@@ -8,6 +8,7 @@ from addon_tests.pure.made import frame_of, pose_of
 from xihe_blender.io.placement_results import Place, PlacementResults, Verified
 from xihe_blender.report.placement import write_placement_report
 from xihenet.camera_path.placement import (
+    FEWEST_PIXELS,
     air_places,
     places_among,
     rank_correlation,
@@ -71,6 +72,14 @@ def test_a_room_that_is_moved_by_whole_cells_has_its_places_moved():
 def test_what_was_not_seen_is_no_place(depth):
     assert upward_places([looking_at(depth)], 0.1).shape == (0, 3)
     assert air_places([looking_at(depth)], 1.0, 0.1).shape == (0, 3)
+
+
+def test_a_window_in_a_floor_is_no_place_and_a_few_pixels_make_none():
+    depth = np.full((48, 64), 2.0)
+    depth[20:30, 20:40] = 0
+    floor, holed = (upward_points([looking_at(one)]) for one in (2.0, depth))
+    assert len(floor) == 46 * 62 and len(holed) == len(floor) - 10 * 20 - 2 * (10 + 20)
+    assert [len(places_among(np.zeros((n, 3)), 1.0)) for n in (FEWEST_PIXELS - 1, FEWEST_PIXELS)] == [0, 1]
 
 
 def test_what_is_out_of_reach_is_no_place():

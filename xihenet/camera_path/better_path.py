@@ -130,7 +130,7 @@ class Unseen:
     def with_shown(self, is_shown: ArrayBool, position_m: ArrayF64) -> UnitSphereCloud:
         """The cloud after anchors `is_shown` (N,) have been seen, as far as can be guessed."""
         is_new, old = is_shown & ~self.cloud.is_set, self.cloud
-        srgb = np.where(is_new[:, None], linear_to_srgb(np.clip(self.radiance, 0, 1)), old.srgb)
+        srgb = np.where(is_new[:, None], linear_to_srgb(self.radiance), old.srgb)
         distance_m = np.where(is_new, np.linalg.norm(self.points_m - position_m, axis=1), old.distance_m)
         surfaces = old.surfaces
         if surfaces is not None:

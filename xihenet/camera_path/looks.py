@@ -85,7 +85,7 @@ class Look:
 
     def poses(self, settings: LookSettings) -> list[ArrayF64]:
         """World_from_camera of the frames that are captured: on the turn, and of what is looked at, which is last."""
-        n = max(1, math.ceil(self.turn_deg / settings.frame_step_deg))
+        n = math.ceil(self.turn_deg / settings.frame_step_deg)
         return [self.pose(k / n) for k in range(1, n)] + [self.end]
 
     @property

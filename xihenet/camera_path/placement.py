@@ -83,16 +83,14 @@ def _upward_points(frame: RgbdFrame, reach_m: float) -> ArrayF64:
     """Pixels within reach whose neighbours on both sides agree that the surface looks up, (K, 3)."""
     shape = (frame.intrinsics.height, frame.intrinsics.width, 3)
     points = unproject_frame(frame).points_m.astype(np.float64).reshape(shape)
-    is_valid = valid_plane_depth(frame.plane_depth_m)
+    points[~valid_plane_depth(frame.plane_depth_m)] = np.nan  # An opening has points, and is no surface.
     inner, right, left = points[1:-1, 1:-1], points[1:-1, 2:], points[1:-1, :-2]
     upper, lower = points[:-2, 1:-1], points[2:, 1:-1]
-    known = is_valid[1:-1, 1:-1] & is_valid[1:-1, 2:] & is_valid[1:-1, :-2] & is_valid[:-2, 1:-1] & is_valid[2:, 1:-1]
-    # Pixels without a distance are not finite; `known` leaves them out.
+    # What is not finite looks nowhere.
     with np.errstate(invalid="ignore"):
         is_up = _looks_up(right - inner, upper - inner) & _looks_up(inner - left, inner - lower)
         is_near = np.linalg.norm(inner - frame.world_from_camera[:3, 3], axis=-1) <= reach_m
-    up = inner[known & is_up & is_near]
-    return up[np.isfinite(up).all(axis=1)]
+    return inner[is_up & is_near]
 
 
 def _looks_up(across: ArrayF64, upwards: ArrayF64) -> ArrayBool:
