@@ -43,6 +43,18 @@ def test_projecting_unprojected_pixels_gives_the_pixel_grid(seed):
     assert np.abs(projected_m - plane_depth_m.ravel()).max() < 1e-5
 
 
+@pytest.mark.parametrize("place_m", [900.0, 5000.0])
+def test_far_from_the_origin_a_point_is_off_by_no_more_than_storing_it_costs(place_m):
+    """Rounding the camera's place as well would double that. Above and below what float32 holds."""
+    rng, camera = np.random.default_rng(0), Intrinsics(4, 3, 4.0, 4.0, 2.0, 1.5)
+    pose, depth_m = np.eye(4), rng.uniform(1, 3, (3, 4)).astype(np.float32)
+    near_m = unproject_frame(frame_of(depth_m, camera)).points_m.astype(np.float64)
+    for _ in range(20):
+        pose[:3, 3] = rng.uniform(-place_m, place_m, 3)
+        off_m = unproject_frame(frame_of(depth_m, camera, pose)).points_m - (near_m + pose[:3, 3])
+        assert (np.abs(off_m) <= np.spacing(np.float32(place_m)) / 2 + 1e-6).all()
+
+
 def test_camera_looks_down_minus_z_with_row_zero_on_top():
     intrinsics = Intrinsics(3, 3, 1.0, 1.0, 1.5, 1.5)
     cloud = unproject_frame(frame_of(np.full((3, 3), 2.0), intrinsics))
