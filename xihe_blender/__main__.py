@@ -1,9 +1,7 @@
 """`python -m xihe_blender` is the `xihe` command."""
 
-import sys
-
-from xihe_blender.cli.main import main
+from xihe_blender.cli.main import command
 
 # Processes that Dask starts import this file, under another name.
 if __name__ == "__main__":
-    sys.exit(main())
+    command()

@@ -7,6 +7,7 @@ import resource
 import shutil
 import signal
 import subprocess
+import sys
 
 import bpy
 import pytest
@@ -42,6 +43,18 @@ def quick_probes():
 
 def previs(blend, out, *arguments, run=xihe_here):
     return run("previs", blend, "--out", out, *DRAFT, *arguments)
+
+
+@pytest.mark.slow
+@pytest.mark.wheel_only("inside a whole Blender the module is not `bpy` of a wheel")
+def test_a_command_that_has_blender_ends_at_once_with_its_exit_code():
+    """Where torch is loaded as well, Blender waits for ever on its own way out."""
+    code = (
+        "import atexit, sys, bpy; from xihe_blender.cli.main import command; atexit.register(print, 'the way out');"
+        "sys.argv = ['xihe', 'export', 'nowhere.json', '--to', 'three']; command()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 2 and "nowhere.json" in done.stderr and "the way out" not in done.stdout
 
 
 # -------------------------------------------------------------------------------------------------------------- scenes

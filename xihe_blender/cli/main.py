@@ -8,9 +8,12 @@ mend it, and one line says how; 130 after Ctrl-C, and the same command resumes, 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
+import os
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -92,6 +95,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{start}xihe: stopped; run the same command again to resume", file=sys.stderr)
         return EXIT_INTERRUPTED
     return code or 0
+
+
+def command() -> NoReturn:
+    """`main` as a program, which ends with its exit code.
+
+    Blender 4.5 was seen to wait for ever on its own way out, after a run whose estimator had loaded torch.
+    """
+    code = main()
+    if bpy := sys.modules.get("bpy"):
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError):  # Nobody reads any more.
+                stream.flush()
+        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+        os._exit(code)
+    sys.exit(code)
 
 
 def _train(typed: Sequence[str]) -> int:
