@@ -36,7 +36,7 @@ from xihe_blender.lab.rooms.settings import RoomRenderSettings
 from xihe_blender.previs.files_read import files_named, files_read
 from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
-from xihe_blender.previs.scene_faults import faults_at_frame, layer_faults, timing_faults, unseen_faults
+from xihe_blender.previs.scene_faults import blur_faults, faults_at_frame, layer_faults, timing_faults, unseen_faults
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.scene.blend_file import modifier_input, open_blend, save_copy
 from xihe_blender.scene.estimation_positions import estimation_positions
@@ -335,6 +335,13 @@ def test_what_the_first_view_layer_leaves_out_is_named():
     assert fault.name == "Screen" and "'FG'" in fault.said
     second.use = False
     assert not list(layer_faults(scene))
+
+
+@pytest.mark.parametrize(("blur", "n"), [(0.0, 0), (0.1, 1), (0.4, 0), (1.0, 0)])
+def test_a_filter_glossy_that_the_reference_light_cannot_follow_is_named(blur, n):
+    scene = room_with_a_virtual_sphere()
+    scene.cycles.blur_glossy = blur
+    assert [fault.said.partition(":")[0] for fault in blur_faults(scene)] == n * ["Filter Glossy is 0.1"]
 
 
 def test_physics_that_is_not_baked_and_stretched_time_are_named():

@@ -20,6 +20,7 @@ import numpy as np
 
 from xihe_blender.apply.datablocks import PREFIX
 from xihe_blender.apply.lit_scene import seen_in
+from xihe_blender.capture.reference_probe import LEAST_BLUR
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import absolute_pattern, matching
 from xihe_blender.io.run_results import Fault
@@ -214,6 +215,17 @@ def layer_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
                 f"{first.name!r}. Tick the collection there in the Outliner."
             )
             yield Fault(name=alone[0], n=len(alone), said=said)
+
+
+def blur_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
+    """A Filter Glossy that the reference light cannot follow (docs/reference_light.md#limits)."""
+    blur = scene.cycles.blur_glossy
+    if 0 < blur < LEAST_BLUR:
+        said = (
+            f"Filter Glossy is {blur:.2g}: beside mirrors and glass the reference light of hdr can be wrong by a fifth "
+            f"or more. Set it to 0, or to {LEAST_BLUR} or more (Render > Light Paths > Caustics)."
+        )
+        yield Fault(name=scene.name, n=1, said=said)
 
 
 def timing_faults(scene: bpy.types.Scene) -> Iterator[Fault]:

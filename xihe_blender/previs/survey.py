@@ -28,6 +28,7 @@ from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey
 from xihe_blender.light_transport.transport_survey import TransportSurveyor
 from xihe_blender.previs.plan import PrevisPlan, Probe
 from xihe_blender.previs.scene_faults import (
+    blur_faults,
     faults_at_frame,
     image_faults,
     layer_faults,
@@ -123,7 +124,8 @@ def survey_path(scene: bpy.types.Scene, plan: PrevisPlan) -> Job[SceneSurvey]:
     views: dict[int, _CameraView] = {}
     in_scene = range(scene.frame_start, scene.frame_end + 1)
     visited = {frame + step for frame in plan.frames for step in (-1, 0, 1) if frame + step in in_scene}
-    faults = [*image_faults(scene.world), *unseen_faults(scene), *layer_faults(scene), *timing_faults(scene)]
+    faults = [*image_faults(scene.world), *unseen_faults(scene), *layer_faults(scene), *blur_faults(scene)]
+    faults += timing_faults(scene)
     settings = RenderSettings(plan.size, samples=1)
     with open_inspection(scene) as inspection, working_scene(scene, "Xihe Survey", settings) as working:
         for frame in sorted(visited):
