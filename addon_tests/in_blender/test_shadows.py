@@ -26,6 +26,7 @@ from xihe_blender.compare.shadows import (
     ring_rmse,
     shadow_of_all,
     shadow_on,
+    surroundings,
     touches_view,
 )
 from xihe_blender.scene.virtual_objects import virtual_collection
@@ -194,6 +195,7 @@ def test_ring_is_near_the_objects_and_none_of_them():
     rows, columns = np.nonzero(ring)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (5, 24, 15, 34)
     assert ring.sum() == 20 * 20 - 100
+    assert ring_around(np.pad([[0.01]], 4)).sum() == 24
     assert not ring_around(np.zeros((4, 4))).any()
     assert ring_rmse(np.ones((4, 4, 3)), np.zeros((4, 4, 3)), np.zeros((4, 4), bool)) is None
 
@@ -202,6 +204,13 @@ def test_ring_error_is_that_of_what_a_display_shows():
     ring = np.ones((2, 2), bool)
     assert ring_rmse(np.full((2, 2, 3), 5.0), np.full((2, 2, 3), 3.0), ring) == 0.0
     assert ring_rmse(np.full((2, 2, 3), 0.5), np.full((2, 2, 3), 0.3), ring) == pytest.approx(0.2)
+
+
+def test_a_shadow_is_looked_for_within_four_half_diagonals_of_the_middle_and_not_farther_than_3_m():
+    corners_m = np.array([[1.0, 2, 3], [1.2, 2.1, 3.2], [1.1, 2.1, 3]])
+    middle_m, reach_m = surroundings(corners_m)
+    np.testing.assert_allclose(middle_m, [1.1, 2.05, 3.1])
+    assert (reach_m, surroundings(9 * corners_m)[1]) == (pytest.approx(0.6), 3.0)
 
 
 def caught(ratio, depth_m=1.0):

@@ -108,6 +108,8 @@ def test_the_noise_that_is_told_is_the_noise():
     told = relative_noise(runs[0], 1e-3)
     for unit in (1e-250, 1e250):
         assert relative_noise(runs[0] * unit, 1e-3 * unit) == pytest.approx(told)
+    sizes = np.abs(runs[0])
+    assert relative_noise(-1e250 * sizes, 1e-3) == pytest.approx(relative_noise(sizes, 1e-3))
 
 
 def test_no_sample_is_refused():

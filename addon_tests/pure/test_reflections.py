@@ -20,7 +20,7 @@ from xihenet.light.reflections import (
 )
 from xihenet.mirror_ball import ball_directions
 from xihenet.panorama import panorama_directions, solid_angles
-from xihenet.records import Intrinsics, KeyLight, ObjectLight, PointCloud, Reflections, UnitSphereCloud
+from xihenet.records import FarPixels, Intrinsics, KeyLight, ObjectLight, PointCloud, Reflections, UnitSphereCloud
 from xihenet.sampling import sample_unit_sphere
 from xihenet.sh import basis
 from xihenet.sphere import AnchorLattice
@@ -106,6 +106,14 @@ def test_a_thinned_frame_shows_the_same_in_a_third_of_the_directions_and_more(se
     cloud = unproject_frame(frame_of(depth, camera, np.eye(4), colours))
     few = thinned(cloud)
     assert len(few.points_m) * 4 == len(cloud.points_m) and (few.grid.height, few.grid.width) == (96, 128)
+    were = np.arange(192 * 256).reshape(192, 256)[::2, ::2].ravel()
+    np.testing.assert_array_equal(few.points_m, cloud.points_m[were])
+    np.testing.assert_array_equal(few.srgb, cloud.srgb[were])
+    np.testing.assert_array_equal(were[few.grid.openings], np.intersect1d(cloud.grid.openings, were))
+    far = FarPixels(cloud.grid.openings, rng.normal(size=(3, len(cloud.grid.openings))).astype(np.float32))
+    left = thinned(PointCloud(cloud.points_m, cloud.srgb, grid=replace(cloud.grid, far=far))).grid.far
+    np.testing.assert_array_equal(were[left.pixels], np.intersect1d(far.pixels, were))
+    np.testing.assert_array_equal(left.rays, far.rays[:, np.isin(far.pixels, were)])
     position_m, lattice = rng.uniform(-0.3, 0.3, 3), AnchorLattice(8192)
     whole, thin = sample_unit_sphere(cloud, position_m, lattice), sample_unit_sphere(few, position_m, lattice)
     both = whole.is_set & thin.is_set
@@ -185,9 +193,9 @@ def test_a_lamp_that_is_implied_is_finite_among_a_few_directions(n, direction):
         assert np.isfinite(found).all() and (found >= 0).all()
 
 
-@pytest.mark.parametrize("share", [0.3, 1.0, 2.0])
-def test_a_sun_takes_as_much_light_out_of_the_picture_as_it_gives_and_none_from_elsewhere(share):
-    direction, radius = random_directions(1, 7)[0], 0.2
+@pytest.mark.parametrize(("share", "radius"), [(0.3, 0.2), (1.0, 0.2), (2.0, 0.2), (1.0, 0.6)])
+def test_a_sun_takes_as_much_light_out_of_the_picture_as_it_gives_and_none_from_elsewhere(share, radius):
+    direction = random_directions(1, 7)[0]
     cosine = LATTICE.directions @ direction
     radiance = np.where((cosine > np.cos(radius))[:, None], [9.0, 6.0, 3.0], 0.3)
     radiance[LATTICE.directions @ -direction > np.cos(radius)] = 20.0
@@ -198,7 +206,8 @@ def test_a_sun_takes_as_much_light_out_of_the_picture_as_it_gives_and_none_from_
     rest = without_key_light(whole, key)
     taken = ((whole.radiance - rest.radiance) * facing).sum(axis=0) * solid_angle
     assert taken == pytest.approx(min(share, 1) * lamp, rel=1e-4)
-    assert np.array_equal(rest.radiance[cosine < 0.9], whole.radiance[cosine < 0.9]) and rest.radiance.min() >= 0
+    beside = cosine < min(np.cos(radius), 0.9)
+    assert np.array_equal(rest.radiance[beside], whole.radiance[beside]) and rest.radiance.min() >= 0
     assert rest.seen_share == 0.4 and without_key_light(whole, None) is whole
 
 
