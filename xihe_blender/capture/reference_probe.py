@@ -58,7 +58,7 @@ MORE_BLUR = 0.75 / (1 - math.cos(CONE * math.pi / 2))
 
 The denser rays leave, the less it blurs: 1 / (2 pi (1 - c)) per steradian here, 2 / (3 pi) on average there. What is
 blurred is darker: without this the light was 0.7 and 1.5 % too bright in `living_room`, 9 % beside a mirror; with it
-0.2 % too dark on average in eleven rooms, 0.9 % at most, since what lies behind the first bounce is blurred more too.
+0.2 % too dark on average in eleven rooms. What lies behind the first bounce is blurred more as well.
 Below LEAST_BLUR a matte surface has only its flat rays blurred, which one value for all rays cannot follow."""
 
 LEAST_BLUR = 0.4
