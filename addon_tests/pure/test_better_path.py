@@ -8,7 +8,15 @@ import pytest
 from addon_tests.pure.made import UPRIGHT, about_z, frame_of, pose_of
 from xihenet.buffers import merge
 from xihenet.camera import pixel_rays, unproject_frame
-from xihenet.camera_path.better_path import LEAST_GAIN, KnownRoom, choose_look, guess_unseen, likely_radiance, shown_by
+from xihenet.camera_path.better_path import (
+    BELOW,
+    LEAST_GAIN,
+    KnownRoom,
+    choose_look,
+    guess_unseen,
+    likely_radiance,
+    shown_by,
+)
 from xihenet.camera_path.looks import Look, LookSettings, direction_words, looks_of, random_looks, turned_view
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.completeness import share_from_behind
@@ -164,6 +172,9 @@ def test_light_that_is_likely_is_a_mean_of_what_was_seen_that_of_the_same_side_f
     far = np.abs(LATTICE.directions[:, 2]) > 0.7
     np.testing.assert_allclose(found[far], likely[far], atol=0.2)
     assert not likely_radiance(UnitSphereCloud.empty(LATTICE.n), LATTICE).any()
+    even = UnitSphereCloud(np.full((LATTICE.n, 3), 0.5), np.ones(LATTICE.n), np.ones(LATTICE.n, bool))
+    weight = guess_unseen(even, OBJECT, np.full(LATTICE.n, 4.0), LATTICE).weight
+    assert weight[~up] == pytest.approx(BELOW * weight[up].max()) and weight.sum() == pytest.approx(1)
 
 
 # --------------------------------------------------------------------------------------------------------------- looks

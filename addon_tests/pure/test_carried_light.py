@@ -121,6 +121,17 @@ def test_surfaces_that_are_seen_under_another_angle_are_not_asked():
     np.testing.assert_allclose(CarriedLight(estimate_of(seen=base)).after(now, None, DIRECTIONS).gain, 0.5, rtol=0.03)
 
 
+@pytest.mark.parametrize(("colour", "nearness"), [(1.0, 1.0), (0.0, 1.0), (0.4, 1.1), (0.4, 0.9)])
+def test_surfaces_that_are_clipped_or_dark_and_other_surfaces_are_not_asked(colour, nearness):
+    is_odd = np.arange(N) % 3 > 0
+    base, now = (
+        replace(one, srgb=np.where(is_odd[:, None], np.float32(colour), one.srgb))
+        for one in (picture(room()), picture(room(), 0.5))
+    )
+    now = replace(now, distance_m=now.distance_m * np.where(is_odd, np.float32(nearness), 1))
+    np.testing.assert_allclose(CarriedLight(estimate_of(seen=base)).after(now, None, DIRECTIONS).gain, 0.5, rtol=0.03)
+
+
 # ------------------------------------------------------------------------------------------------------------ sessions
 
 

@@ -9,7 +9,7 @@ from addon_tests.pure.weights_files import changed_file, random_arrays, with_arr
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.ambient import constant_light
 from xihenet.estimators.base import EstimateContext
-from xihenet.estimators.calibration import raw_error
+from xihenet.estimators.calibration import Calibration, raw_error
 from xihenet.estimators.lattice import FAINTEST, Lattice, of_one_shape
 from xihenet.estimators.lattice_format import (
     LEVELS,
@@ -210,6 +210,16 @@ def test_input_out_of_range_is_refused(weights_file, part, value):
     clouds[part][2, 5] = value
     with pytest.raises(ValueError, match="lattice: expected"):
         Lattice(512, weights=weights_file).estimate_batch(*clouds)
+
+
+@pytest.mark.parametrize(
+    "law", [(np.nan, 1, 0), (-1, 1, 0), (1, np.nan, 0), (1, -0.1, 0), (1, 3.1, 0), (1, 1, -5.1), (1, 1, 5.1)]
+)
+def test_an_expected_error_that_no_calibration_gives_is_refused(law):
+    Calibration(1.0, 3.0, -5.0, (0.0, 1.0))
+    for figures in ((*law, (1.0,)), (1.0, 1.0, 0.0, (1.0, -1.0)), (1.0, 1.0, 0.0, (np.inf,))):
+        with pytest.raises(ValueError, match="calibration: expected"):
+            Calibration(*figures)
 
 
 @pytest.mark.parametrize("facing", [np.zeros((6, 511)), np.eye(6, 512) * 1.5, np.full((6, 512), np.nan)])
