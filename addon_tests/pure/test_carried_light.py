@@ -92,6 +92,14 @@ def test_it_is_the_estimate_that_is_carried_and_not_what_was_shown_before():
     assert CarriedLight(estimate).light is estimate
 
 
+def test_a_channel_that_stays_does_not_keep_the_others_from_being_carried():
+    gain, seen = np.array([1.0, 0.5, 2.0]), picture(room())
+    carried = CarriedLight(estimate_of(seen=seen), gain)
+    np.testing.assert_array_equal(carried.light.sh_radiance, carried.estimate.sh_radiance * gain)
+    dimmed = picture(room(), 0.5 * gain)
+    np.testing.assert_allclose(carried.after(dimmed, None, DIRECTIONS).gain, 0.5 * gain, rtol=0.03)
+
+
 def test_an_estimate_of_the_dark_is_not_blown_up():
     *_, gain = gains_under([0.05, 3.0, 3.0])
     assert (gain <= MOST_GAIN).all()
@@ -122,14 +130,17 @@ def test_surfaces_that_are_seen_under_another_angle_are_not_asked():
 
 
 @pytest.mark.parametrize(("colour", "nearness"), [(1.0, 1.0), (0.0, 1.0), (0.4, 1.1), (0.4, 0.9)])
-def test_surfaces_that_are_clipped_or_dark_and_other_surfaces_are_not_asked(colour, nearness):
-    is_odd = np.arange(N) % 3 > 0
+@pytest.mark.parametrize(("one_in", "gain"), [(3, 0.5), (5, 1.0)])
+def test_surfaces_that_are_clipped_or_dark_and_other_surfaces_are_not_asked_nor_a_fifth_alone(
+    colour, nearness, one_in, gain
+):
+    is_odd = np.arange(N) % one_in > 0
     base, now = (
         replace(one, srgb=np.where(is_odd[:, None], np.float32(colour), one.srgb))
         for one in (picture(room()), picture(room(), 0.5))
     )
     now = replace(now, distance_m=now.distance_m * np.where(is_odd, np.float32(nearness), 1))
-    np.testing.assert_allclose(CarriedLight(estimate_of(seen=base)).after(now, None, DIRECTIONS).gain, 0.5, rtol=0.03)
+    np.testing.assert_allclose(CarriedLight(estimate_of(seen=base)).after(now, None, DIRECTIONS).gain, gain, rtol=0.03)
 
 
 # ------------------------------------------------------------------------------------------------------------ sessions

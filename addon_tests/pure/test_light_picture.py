@@ -12,11 +12,14 @@ from xihenet.light.light_picture import (
     BACKGROUND,
     SILVER_ROUGHNESS,
     light_picture,
+    seen_picture,
     silver_lobe,
     sphere_mask,
     sphere_transfer,
     three_spheres,
 )
+from xihenet.records import UnitSphereCloud
+from xihenet.sphere import AnchorLattice
 
 RADIANCE = np.array([0.2, 0.5, 0.8])
 MIRROR, SILVER, DIFFUSE = range(3)
@@ -115,6 +118,15 @@ def test_the_picture_of_constant_light_is_that_colour_on_the_background_with_equ
     border = np.ones(picture.shape[:2], bool)
     border[margin : border.shape[0] - margin, margin : border.shape[1] - margin] = False
     assert (picture[border] == grey).all()
+    if size > 12:
+        assert (below[[0, 0, size - 1, size - 1], [0, size - 1, 0, size - 1]] == grey).all(), "beside a sphere"
+
+
+def test_a_picture_of_what_was_seen_shows_it_in_its_direction_and_grey_elsewhere():
+    is_set = AnchorLattice(512).directions[:, 2] > 0
+    picture = seen_picture(UnitSphereCloud([0.2, 0.4, 1.0] * is_set[:, None], 2.0 * is_set, is_set), 32)
+    assert picture.shape == (32, 64, 3) and picture.dtype == np.uint8
+    assert (picture[:14] == [51, 102, 255]).all() and (picture[18:] == round(BACKGROUND * 255)).all()
 
 
 @pytest.mark.parametrize(
