@@ -10,6 +10,7 @@ from xihenet.buffers import merge
 from xihenet.camera import pixel_rays, unproject_frame
 from xihenet.camera_path.better_path import (
     BELOW,
+    FREE_M,
     LEAST_GAIN,
     KnownRoom,
     choose_look,
@@ -95,6 +96,10 @@ def test_a_path_that_saw_everything_says_that_nothing_would_help():
 def test_a_path_that_saw_nothing_has_an_advice_all_the_same():
     black = frame_of(np.zeros((40, 48)), CAMERA, facing(0))
     known = KnownRoom.of_frames([unproject_frame(black)])
+    assert known.hull_m(LATTICE) == pytest.approx(LATTICE.directions @ PLACE + FREE_M)
+    # Where the phone was the room is free, whatever it saw.
+    seen = KnownRoom(np.zeros((1, 3)), known.places_m)
+    assert (seen.hull_m(LATTICE) >= known.hull_m(LATTICE)).all()
     unseen = guess_unseen(UnitSphereCloud.empty(LATTICE.n), OBJECT, known.hull_m(LATTICE), LATTICE)
     assert np.isfinite(unseen.points_m).all() and unseen.weight.sum() == pytest.approx(1)
     looks = looks_of([(1, facing(0))], SETTINGS)
