@@ -65,6 +65,17 @@ def test_a_brighter_closed_room_needs_more_bounces_and_open_ground_two():
     assert bounces(open_field()) == 2
 
 
+def test_a_room_in_other_units_or_around_a_virtual_object_that_hides_it_needs_as_many_bounces():
+    scene = bright_room(0.6)
+    closed = bounces(scene)
+    collection = bpy.data.collections.new("Xihe Virtual")
+    scene.collection.children.link(collection)
+    ball(scene, "Around the phone", scene.camera.location, material("Black", (0, 0, 0)), collection)
+    assert bounces(scene) == closed
+    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 10.0
+    assert bounces(scene) == closed
+
+
 def test_walls_hidden_in_the_viewport_close_the_room_all_the_same():
     scene = bright_room(0.6)
     closed = bounces(scene)

@@ -47,6 +47,15 @@ def test_a_lamp_that_is_keyed_on_later_is_a_second_light():
     assert state(scene, "light tree", frames=range(1, 8)) == "on"
 
 
+def test_a_thing_that_glows_alone_needs_the_light_tree():
+    scene = empty_scene()
+    phone(scene, (0, -3, 1), (0, 0, 0))
+    thing = ball(scene, "Lamp", (0, 0, 0), material("Matt", (0.5, 0.5, 0.5)))
+    assert state(scene, "light tree") == "off"
+    thing.data.materials[0] = shader_look("Glow", "Emission", Strength=3.0)
+    assert state(scene, "light tree") == "on"
+
+
 def test_a_portal_is_no_lamp():
     scene = stage()
     before = plan_light_transport(scene)
