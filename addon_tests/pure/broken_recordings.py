@@ -206,6 +206,8 @@ RECORD3D = {
     "metadata begins with a byte order mark": (member("metadata", lambda said: b"\xef\xbb\xbf" + said), READ),
     "metadata is no JSON": (member("metadata", GARBAGE), "expected JSON"),
     "metadata is a list": (member("metadata", b"[]"), "expected a JSON object"),
+    "metadata is a bomb": (member("metadata", bytes(2**26 + 1)), "expected at most"),
+    "LZFSE is a bomb": (member(DEPTH, packed(bytes(2**23))), "unpacks to more than"),
     "encrypted": (whole(marked_encrypted), "cannot be read"),
     "a pose that is NaN": (
         in_metadata("poses", 1, [float("nan")] * 7),

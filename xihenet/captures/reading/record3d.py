@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 import zipfile
 import zlib
 from functools import partial
@@ -35,6 +36,7 @@ MAGIC = b"PK"
 BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, LookupError)
 """What zipfile raises for files that are none, are cut short, or are encrypted."""
 
+MOST_BYTES = 2**26  # Of a member; an hour at 60 frames a second has 50 MB of metadata
 USUAL_FPS = 60.0
 AT_ORIGIN = 1e-4  # Who begins so near to the origin of the world, along its axes, has the first camera's own world
 
@@ -98,23 +100,44 @@ def read(path: Path, up: str | None) -> Capture:
 
 def _content(archive: zipfile.ZipFile, name: str) -> bytes:
     try:
+        if (n := archive.getinfo(name).file_size) > MOST_BYTES:  # No more than it says is read.
+            raise ValueError(f"expected at most {MOST_BYTES} bytes, got {n}")
         return archive.read(name)
     except BROKEN as error:
         raise ValueError(f"{archive.filename}: {name} cannot be read ({error}): copy the file again") from None
 
 
-def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
+def _unpacked(archive: zipfile.ZipFile, name: str, most_bytes: int) -> bytes:
     """What LZFSE has packed in a member. ImportError, naming the extra, without the package."""
     try:
         import lzfse
     except ImportError as error:
         raise ImportError(f"the depth of Record3D is unpacked by lzfse: {EXTRA}") from error
+    packed = _content(archive, name)
     try:
-        return bytes(lzfse.decompress(_content(archive, name)))
-    except (lzfse.error, MemoryError):
+        if _said_bytes(packed) <= most_bytes:
+            return bytes(lzfse.decompress(packed))
+    except (lzfse.error, MemoryError, struct.error, KeyError):
         raise ValueError(
             f"{archive.filename}: {name}: expected LZFSE, and could not unpack it: copy it again"
         ) from None
+    raise ValueError(f"{archive.filename}: {name}: it unpacks to more than the {most_bytes} bytes that are expected")
+
+
+def _said_bytes(packed: bytes) -> int:
+    """How many bytes blocks of LZFSE (lzfse_internal.h) say that they hold: fifty may hold 27 MB.
+
+    KeyError for what is no block, struct.error for one that is cut short.
+    """
+    at = total = 0
+    while (magic := packed[at : at + 4]) != b"bvx$":
+        n_bytes, n_packed = struct.unpack_from("<2I", packed, at + 4)
+        sizes = {b"bvx-": 8 + n_bytes, b"bvxn": 12 + n_packed, b"bvx1": 772 + n_packed}
+        if magic == b"bvx2":
+            first, second, third = struct.unpack_from("<3Q", packed, at + 8)
+            sizes[magic] = (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF) + (third & 0xFFFFFFFF)
+        at, total = at + max(8, sizes[magic]), total + n_bytes
+    return total
 
 
 def _metadata(archive: zipfile.ZipFile) -> dict[str, Any]:
@@ -184,14 +207,16 @@ def _pose(row: ArrayF64, name: str) -> ArrayF64:
 
 def _load(archive: zipfile.ZipFile, n: int, camera: FrameCamera, size: tuple[int, int] | None) -> RgbdFrame:
     source = Path(str(archive.filename)) / "rgbd" / f"{n}.depth"  # Names it; there is no such file.
-    unpacked = _unpacked(archive, f"rgbd/{n}.depth")
-    width, height = size or _size_as(camera.intrinsics, len(unpacked) // 4, source)
+    k = camera.intrinsics
+    most = size[0] * size[1] if size else min(k.width * k.height, MOST_PIXELS)
+    unpacked = _unpacked(archive, f"rgbd/{n}.depth", 4 * most)
+    width, height = size or _size_as(k, len(unpacked) // 4, source)
     if len(unpacked) != 4 * width * height:
         raise ValueError(f"{source}: expected {width}x{height} distances of 4 bytes, got {len(unpacked)} bytes")
     plane_depth_m = np.frombuffer(unpacked, "<f4").reshape(height, width)
     confidence = None
     if (name := f"rgbd/{n}.conf") in archive.NameToInfo:
-        levels = _unpacked(archive, name)
+        levels = _unpacked(archive, name, most)
         if len(levels) != width * height:
             raise ValueError(f"{source.with_suffix('.conf')}: expected {width}x{height} bytes, got {len(levels)}")
         confidence = confidence_levels(np.frombuffer(levels, np.uint8).reshape(height, width))
