@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.frame_makers import NEEDS_OPENEXR
+from xihenet.io import exr
 from xihenet.io.exr import OtherExr, exr_attributes, exr_sizes, read_exr, read_stored_exr, write_exr
 from xihenet.io.picture_size import picked_pixels
 
@@ -151,6 +152,13 @@ def test_picked_pixels_are_few_enough_and_evenly_spaced(size, most):
         assert np.ptp(np.diff(picked, prepend=-1 - picked[0], append=2 * n - 1 - picked[-1])) <= 2
     n_picked = np.prod([len(side) for side in picked_pixels(*size, most)])
     assert most is None or n_picked <= most or 1 in size
+
+
+def test_rows_that_would_take_gigabytes_are_not_unpacked(tmp_path, monkeypatch):
+    write_exr(tmp_path / "a.exr", {"R": np.zeros((64, 16384), np.float32)})
+    monkeypatch.setattr(exr, "LARGEST_CHUNK", 2**20 - 1)
+    with pytest.raises(ValueError, match=r"a\.exr: 16 of its rows take 1 MB: save fewer channels"):
+        read_exr(tmp_path / "a.exr")
 
 
 @FORMS

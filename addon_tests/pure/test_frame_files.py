@@ -29,7 +29,7 @@ from addon_tests.pure.frame_makers import (
 from addon_tests.pure.made import pose_of, random_rotation
 from xihenet.camera import encode_exposed, unproject_frame, valid_plane_depth
 from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
-from xihenet.io import exr, frame_files, image_files
+from xihenet.io import exr, frame_files, image_files, openexr_package
 from xihenet.io.frame_files import read_camera, read_frame
 from xihenet.io.image_files import area_averaged
 from xihenet.phone.metering import KEY_LUMINANCE
@@ -404,6 +404,15 @@ def test_a_picture_with_too_many_pixels_is_refused_by_its_header(tmp_path, camer
     window = struct.pack("<4i", 0, 0, WIDTH - 1, HEIGHT - 1)
     path.write_bytes(path.read_bytes().replace(window, struct.pack("<4i", 0, 0, width - 1, height - 1)))
     with pytest.raises(ValueError, match=r"frame\.exr: .*too many.*at most 50 megapixels"):
+        read_frame(path, camera)
+
+
+@NEEDS_OPENEXR
+def test_what_the_openexr_package_would_unpack_into_gigabytes_is_not_given_to_it(tmp_path, camera, monkeypatch):
+    path = write_by_package(tmp_path / "frame.exr", dict.fromkeys("RGBZ", PLANE_DEPTH_M), "RLE")
+    monkeypatch.setattr(frame_files, "MOST_VALUES_BY_PACKAGE", 4 * HEIGHT * WIDTH - 1)
+    monkeypatch.setattr(openexr_package, "read_by_package", None)
+    with pytest.raises(ValueError, match=r"frame\.exr: its compression, RLE.* values: save it with ZIP compression"):
         read_frame(path, camera)
 
 

@@ -32,6 +32,7 @@ COMPRESSIONS = (
 )  # fmt: skip
 
 ROWS_IN_CHUNK = {"none": 1, "ZIPS": 1, "ZIP": 16}  # Rows that are stored together, where they can be read here
+LARGEST_CHUNK = 2**28  # Bytes, unpacked: 16 rows of 500 channels that are 8192 pixels wide
 TILED, LONG_NAMES, DEEP, MULTI_PART = 0x200, 0x400, 0x800, 0x1000
 MAX_SHORT_NAME = 31
 
@@ -132,7 +133,7 @@ def read_exr(
     that are not there are left out, None reads all; parts of more than `most_pixels` are thinned, see `picked_pixels`.
 
     OSError if the file cannot be opened; OtherExr if it is tiled, deep, subsampled or compressed otherwise than with
-    ZIP; ValueError if it is no OpenEXR file, is cut short or is broken.
+    ZIP; ValueError if it is no OpenEXR file, is cut short, is broken or has rows of gigabytes.
     """
     content = _content(path)
     with _errors_of(path):
@@ -332,6 +333,8 @@ def _chunks(content: bytes, part: _Part, offsets: list[int], number: int | None)
         yield from _rows_as_they_are(content, part, offsets, number)
         return
     n_together = ROWS_IN_CHUNK[part.compression]
+    if n_together * part.row_bytes > LARGEST_CHUNK:
+        raise TooLarge(f"{n_together} of its rows take {n_together * part.row_bytes >> 20} MB: save fewer channels")
     for chunk, start in enumerate(offsets):
         at = start
         if number is not None:

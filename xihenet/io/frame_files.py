@@ -26,11 +26,12 @@ from xihenet.camera import encode_exposed, sensed_ambient, sound_plane_depth, va
 from xihenet.io import exr, openexr_package
 from xihenet.io.image_files import read_colour, read_plane_depth
 from xihenet.io.json_files import named, number_in, read_json, side_in
-from xihenet.io.picture_size import MOST_POINTS, check_size, picked_pixels, same_field
+from xihenet.io.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.phone.metering import metered_exposure
 from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
+MOST_VALUES_BY_PACKAGE = 64_000_000  # Of all channels, which the package unpacks together: 16 megapixels of four
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "world_from_camera", "convention", "up")
 POSE_TOLERANCE = 1e-3  # Of a rotation's rows and columns, as poses are written with four digits
 BLENDER_FROM_OPENCV_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -270,6 +271,9 @@ def read_exr_channels(
         if not openexr_package.is_installed():
             raise ValueError(f"{error}: save it in scan lines with ZIP compression, or pip install OpenEXR") from error
         sizes = exr.exr_sizes(path)
+        if sum(height * width for height, width in sizes.values()) > MOST_VALUES_BY_PACKAGE:
+            most = f"{MOST_VALUES_BY_PACKAGE // 10**6} million"
+            raise TooLarge(f"{error} here, and it has more than {most} values: save it with ZIP compression") from error
     channels = openexr_package.read_by_package(path, names)
     # A part whose pixels are broken is left out without an error.
     if not channels or (names is not None and not set(names) <= channels.keys()):
