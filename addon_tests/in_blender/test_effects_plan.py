@@ -65,12 +65,14 @@ def test_a_brighter_closed_room_needs_more_bounces_and_open_ground_two():
     assert bounces(open_field()) == 2
 
 
-def test_a_room_in_other_units_or_around_a_virtual_object_that_hides_it_needs_as_many_bounces():
+def test_a_room_in_other_units_inside_out_or_around_a_virtual_object_that_hides_it_needs_as_many_bounces():
     scene = bright_room(0.6)
     closed = bounces(scene)
     collection = bpy.data.collections.new("Xihe Virtual")
     scene.collection.children.link(collection)
     ball(scene, "Around the phone", scene.camera.location, material("Black", (0, 0, 0)), collection)
+    assert bounces(scene) == closed
+    bpy.data.objects["Room"].data.flip_normals()
     assert bounces(scene) == closed
     scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 10.0
     assert bounces(scene) == closed

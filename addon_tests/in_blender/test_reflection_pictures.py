@@ -11,7 +11,7 @@ from tiny_scenes import empty_scene, material, orthographic, sphere
 
 from xihe_blender.apply.applied_lights import lights_of_scene
 from xihe_blender.apply.datablocks import world_name
-from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun
+from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, show_in_reflections
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.reflection_pictures import (
     PICTURE,
@@ -43,6 +43,10 @@ def white():
 
 def mirror():
     return metal(0.0)
+
+
+def clear():
+    return shader_look("Clear", "BsdfRefraction", Color=(1, 1, 1, 1), Roughness=0.0, IOR=1.0)
 
 
 def metal(roughness):
@@ -89,14 +93,16 @@ def test_a_matt_sphere_is_lit_by_the_spherical_harmonics_alone():
     assert at(picture, 0.6, 0.3) == pytest.approx([0.2] * 3, rel=0.02)
 
 
-def test_a_mirror_shows_no_sun_beside_the_picture():
-    scene, before = shown(mirror)
+@pytest.mark.parametrize(("look", "direction"), [(mirror, (0, -1, 0)), (clear, (0, 1, 0))], ids=["mirror", "glass"])
+def test_a_mirror_or_glass_shows_no_sun_beside_a_picture_that_has_its_lamp(look, direction):
+    scene, before = shown(look, samples=16)
     sun = make_key_sun("Xihe Key Light Ball")
-    sun.visible_glossy = False
     scene.collection.objects.link(sun)
-    apply_key_to_sun(sun, KeyLight(np.array([0, -1.0, 0]), np.full(3, 5.0), 0.2, True))
-    after = rendered(scene, (SIDE, SIDE), 64)
-    assert after == pytest.approx(before, abs=0.02)
+    apply_key_to_sun(sun, KeyLight(np.array(direction, float), np.full(3, 5.0), 0.2, True))
+    show_in_reflections(sun, False)
+    assert rendered(scene, (SIDE, SIDE), 16) == pytest.approx(before, abs=0.02)
+    show_in_reflections(sun, True)
+    assert rendered(scene, (SIDE, SIDE), 16).max() > 5
 
 
 @pytest.mark.slow

@@ -234,6 +234,8 @@ def test_a_scene_that_stands_still_has_one_state():
     lamp_of_an_instance(scene)
     scaled_by_nodes("ShaderNodeCombineXYZ")
     textured()
+    drive(bpy.data.objects["Table"].modifiers.new("Thick", "SOLIDIFY"), "thickness", "0.01 + 0 * frame")
+    bpy.data.objects["Table"].data.attributes.new("Maker", "STRING", "POINT")
     assert len(set(scene_states(scene, (1, 2, 7)))) == 1
 
 

@@ -32,6 +32,7 @@ from xihe_blender.apply.sh_worlds import (
     remove_applied_light,
     remove_trigger_markers,
 )
+from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import RenderSettings, exclude_collection, render_passes, working_scene
 from xihe_blender.capture.scanner import first_layer
 from xihe_blender.compare.methods import composite, open_comparer
@@ -39,6 +40,7 @@ from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objec
 from xihenet import estimators, sh
 from xihenet.backend import LocalBackend
 from xihenet.light.light_picture import SILVER_ROUGHNESS, sphere_mask, three_spheres
+from xihenet.mirror_ball import ball_directions
 from xihenet.records import Intrinsics, RgbdFrame
 
 SIDE = 48
@@ -66,6 +68,20 @@ def test_radiance_that_is_negative_in_places_is_not_clamped():
     assert negative > 0.05
     expected = sh.irradiance(coefficients, normals) / np.pi
     assert np.abs(shown.mean(axis=0) - expected.mean(axis=0)).max() < 0.005 * expected.mean()
+
+
+def test_what_a_mirror_shows_of_a_world_has_its_coefficients_and_is_negative_where_they_are():
+    scene, coefficients = empty_scene(), np.random.default_rng(0).normal(size=(9, 3))
+    coefficients[6] = 3.0
+    scene.world = make_sh_world("Xihe Ball")
+    apply_sh_to_world(scene.world, 2 * coefficients, exposure=2.0)
+    with open_reference_probe(scene, [(0, 0, 0)], ProbeSettings(48, 8, denoise=False)) as probe:
+        ball, _ = probe.mirror_ball(0, 1)
+    directions, on_ball = ball_directions(48)
+    inner = on_ball & (directions[..., 2] > -0.8)
+    found, *_ = np.linalg.lstsq(sh.basis(directions[inner]), ball[inner], rcond=None)
+    np.testing.assert_allclose(found, coefficients, atol=0.015)
+    assert ball[inner].min() < -0.5
 
 
 def test_constant_light_is_constant_and_the_exposure_it_carries_is_taken_out_once():
@@ -232,6 +248,8 @@ def test_light_that_makes_no_sense_and_a_world_that_is_not_ours_are_refused(coef
         apply_sh_to_world(make_sh_world("Xihe Ball"), coefficients, exposure)
     with pytest.raises(ValueError, match="make it with make_sh_world"):
         apply_sh_to_world(set_world(bpy.context.scene), np.ones((9, 3)))
+    with pytest.raises(ValueError, match="make it with make_sh_world"):
+        apply_sh_to_world(bpy.data.worlds.new("Without nodes"), np.ones((9, 3)))
 
 
 def test_light_is_rid_of_what_is_negative_only_if_asked_for():

@@ -33,9 +33,15 @@ def test_an_emission_driven_at_frame_100_counts_only_if_frame_100_is_rendered():
     assert state(scene, "light tree", frames=[1, 50, 100]) == "on"
 
 
-def test_an_animated_mix_factor_counts_over_its_frames():
+@pytest.mark.parametrize("is_strip", [False, True])
+def test_an_animated_mix_factor_counts_over_its_frames(is_strip):
     scene = with_ball(lambda: mixed(0.0))
-    key(ball_node(scene, "MIX_SHADER").inputs[0], "default_value", {1: 0.0, 10: 0.0, 20: 1.0})
+    factor = ball_node(scene, "MIX_SHADER").inputs[0]
+    key(factor, "default_value", {1: 0.0, 10: 0.0, 20: 1.0})
+    if is_strip:
+        animation = factor.id_data.animation_data
+        animation.nla_tracks.new().strips.new("Strip", 1, animation.action)
+        animation.action = None
     assert state(scene, "transmission", frames=range(1, 11)) == "off"
     assert state(scene, "transmission", frames=range(1, 13)) == "on"
 
@@ -51,9 +57,11 @@ def test_a_thing_that_glows_alone_needs_the_light_tree():
     scene = empty_scene()
     phone(scene, (0, -3, 1), (0, 0, 0))
     thing = ball(scene, "Lamp", (0, 0, 0), material("Matt", (0.5, 0.5, 0.5)))
-    assert state(scene, "light tree") == "off"
+    assert plan_light_transport(scene)["light tree"].reason == "the scene has no light"
     thing.data.materials[0] = shader_look("Glow", "Emission", Strength=3.0)
-    assert state(scene, "light tree") == "on"
+    needed = plan_light_transport(scene)["light tree"]
+    assert needed.state == "on" and "only light is Lamp" in needed.reason
+    assert plan_light_transport(stage())["light tree"].reason == "the scene has one light"
 
 
 def test_a_portal_is_no_lamp():
@@ -107,6 +115,10 @@ def test_a_material_slot_that_no_face_uses_is_left_out(is_subdivided):
     assert state(scene, "transmission") == "off"
     item.data.polygons[0].material_index = 1
     assert state(scene, "transmission") == "on"
+    item.data.polygons[0].material_index = 0
+    item.data = bpy.data.meshes.new("Without faces")
+    item.data.materials.append(glass())
+    assert state(scene, "transmission") == "off"
 
 
 def test_a_material_linked_to_the_object_wins_over_the_meshs():

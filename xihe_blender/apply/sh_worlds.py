@@ -109,7 +109,7 @@ def key_light_changes(world: bpy.types.World, lights: Mapping[int, ArrayLike], e
     if not lights:
         return
     frames = list(lights)
-    values = in_working_space(np.stack([np.asarray(light, np.float64) for light in lights.values()]))
+    values = in_working_space(np.array(list(lights.values()), np.float64))
     apply_sh_to_world(world, lights[frames[0]], exposure)
     animation = world.node_tree.animation_data_create()
     if animation.action is None:
