@@ -40,7 +40,7 @@ NEGLIGIBLE_M = 1e-6  # What rounding a camera's place to float32 costs stays bel
 BEHIND = 1.1  # A point at so many times the depth of what is seen there lies behind it: sensors err by less
 THROUGH_FROM = 1.1  # Depth, times that of a point, from which there is nothing at the point
 ENCODED_AT_ONCE = 2**18  # Values of a picture; all of one of 8192x8192 pixels together would take 10 GB
-SMALLEST_VOLUME = 1e-12  # Of the box of a camera's axes of length 1; flatter ones cannot be inverted
+SMALLEST_VOLUME = 1e-12  # Of the box of a camera's axes of length near 1; flatter ones cannot be inverted
 
 
 def valid_plane_depth(plane_depth_m: ArrayF32) -> ArrayBool:
@@ -234,19 +234,17 @@ def part_around(
 def _inverse_3x3(matrix: ArrayF64) -> ArrayF64:
     """By cross products. numpy.linalg.inv wakes BLAS threads for any size: 8 ms beside a busy renderer, this 0.05.
 
-    Axes are brought to length 1 first, so that the scale of a camera neither overflows nor passes for flatness.
+    Axes are brought near length 1 first, so that the scale of a camera neither overflows nor passes for flatness.
     """
     largest = np.abs(matrix).max(axis=0)
     if not (np.isfinite(largest).all() and (largest > 0).all()):
         raise ValueError("project_points: world_from_camera cannot be inverted; is the camera scaled to 0?")
-    axes = matrix / largest
-    lengths = np.sqrt(np.einsum("ij,ij->j", axes, axes))
-    x, y, z = (axes / lengths).T
+    x, y, z = (matrix / largest).T
     across = np.array([_cross(y, z), _cross(z, x), _cross(x, y)])
     volume = float(np.dot(x, across[0]))
     if abs(volume) < SMALLEST_VOLUME:
         raise ValueError("project_points: world_from_camera cannot be inverted; its axes lie in one plane")
-    return across / volume / (largest * lengths)[:, None]
+    return across / volume / largest[:, None]
 
 
 def _cross(a: ArrayF64, b: ArrayF64) -> tuple[float, float, float]:
