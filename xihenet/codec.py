@@ -195,7 +195,7 @@ def _records_of(payload: bytes | bytearray | memoryview, n_anchors: int, method:
         raise ValueError(f"codec: {method} expected at most {n_anchors * size} bytes, got {n_bytes}")
     if not wire_format.is_stripped and n_bytes != n_anchors * size:
         raise ValueError(f"codec: {method} expected {n_anchors * size} bytes, got {n_bytes}")
-    return np.frombuffer(payload, wire_format.record) if n_bytes else np.empty(0, wire_format.record)
+    return np.frombuffer(payload, wire_format.record)
 
 
 def _decoded_distance(stored: NDArray[Any]) -> ArrayF32:

@@ -54,6 +54,6 @@ def mirror_sphere_cloud(
         raise ValueError(f"mirror_sphere_cloud: expected a positive radius, got {radius_m}")
     directions, depth_m, on_sphere = reflected_directions(frame, centre_m, radius_m)
     seen_m = np.where(frame.plane_depth_m > 0, frame.plane_depth_m, MISS_PLANE_DEPTH_M)
-    is_seen = on_sphere & ~np.isnan(frame.plane_depth_m) & (seen_m >= np.nan_to_num(depth_m) * (1 - TOLERANCE))
+    is_seen = on_sphere & ~np.isnan(frame.plane_depth_m) & (seen_m >= depth_m * (1 - TOLERANCE))
     means, is_set = lattice.means(directions[is_seen], srgb_to_linear(frame.srgb_u8[is_seen] / 255.0))
     return UnitSphereCloud(linear_to_srgb(means).astype(np.float32), is_set.astype(np.float32), is_set)

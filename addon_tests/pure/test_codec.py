@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from addon_tests.pure.made import looked_at
-from xihenet.codec import MAX_DISTANCE_M, METHODS, MIN_DISTANCE_M, decode_cloud, encode_cloud
+from xihenet.codec import (
+    MAX_DISTANCE_M,
+    METHODS,
+    MIN_DISTANCE_M,
+    decode_cloud,
+    encode_cloud,
+    facing_codes,
+    facing_of_codes,
+)
 from xihenet.records import AnchorSurfaces, UnitSphereCloud
 
 ALL = pytest.mark.parametrize("method", list(METHODS))
@@ -74,12 +82,18 @@ def test_a_round_trip_keeps_set_anchors_and_is_within_a_rounding_step(cloud):
 
 
 @ALL
-def test_bytearray_and_memoryview_are_read_like_bytes(method):
+def test_bytearray_and_memoryview_are_read_like_bytes_and_may_be_written_over(method):
     payload = encode_cloud(cloud_of(np.full((3, 3), 0.2), [1, 2, 3], [True, False, True]), method)
-    read = decode_cloud(payload, 3, method)
-    for same in (decode_cloud(bytearray(payload), 3, method), decode_cloud(memoryview(payload), 3, method)):
+    read, reused = decode_cloud(payload, 3, method), bytearray(payload)
+    for same in (decode_cloud(reused, 3, method), decode_cloud(memoryview(payload), 3, method)):
+        reused[:] = bytes(len(payload))
         for field in ("is_set", "srgb", "distance_m"):
             np.testing.assert_array_equal(getattr(same, field), getattr(read, field), err_msg=field)
+
+
+def test_facing_is_stored_within_half_a_step():
+    facing = np.linspace(-1, 1, 1001).astype(np.float32)
+    np.testing.assert_allclose(facing_of_codes(facing_codes(facing)), facing, rtol=0, atol=0.5 / 127 + 1e-6)
 
 
 def test_an_unknown_method_or_a_negative_size_is_refused():

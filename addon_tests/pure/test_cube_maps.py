@@ -78,6 +78,7 @@ def test_every_level_has_the_light_from_where_it_comes_and_as_bright(reading, in
         # A texel is wide.
         np.testing.assert_allclose(found, 2 + 1.8 * kept * directions, atol=0.08 * 2**level)
         np.testing.assert_allclose(found.mean(), 2, rtol=0.03)
+        np.testing.assert_allclose(((found - 2) * directions).sum() / len(directions), 1.8 * kept, rtol=0.05)
 
 
 def test_light_that_is_the_same_from_everywhere_stays_so():

@@ -7,9 +7,10 @@ import pytest
 
 from addon_tests.pure.made import frame_of, pose_of
 from xihenet import sh
+from xihenet.camera import pixel_rays
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.estimators import load
-from xihenet.mirror_sphere import mirror_sphere_cloud, reflected_directions
+from xihenet.mirror_sphere import OUTERMOST, mirror_sphere_cloud, reflected_directions
 from xihenet.records import Intrinsics
 from xihenet.sphere import AnchorLattice
 
@@ -49,6 +50,11 @@ def test_middle_of_the_sphere_shows_the_camera_and_every_ray_is_reflected():
     assert depth_m[SIDE // 2, SIDE // 2] == pytest.approx(1.1, abs=1e-3)
     np.testing.assert_allclose(np.linalg.norm(directions[on_sphere], axis=-1), 1.0)
     assert np.isnan(directions[~on_sphere]).all()
+    points_m = depth_m[..., None] * pixel_rays(CAMERA) @ frame.world_from_camera[:3, :3].T
+    points_m += frame.world_from_camera[:3, 3]
+    np.testing.assert_allclose(np.linalg.norm(points_m - CENTRE, axis=-1)[on_sphere], RADIUS)
+    rim_px = CAMERA.fx * np.tan(np.arcsin(OUTERMOST * RADIUS / 1.2))
+    assert on_sphere.sum() == pytest.approx(np.pi * rim_px**2, rel=0.01)
     # Nearly all of the sphere of directions is seen: at the rim, what is behind.
     assert (directions[on_sphere] @ back).min() < -0.8
 

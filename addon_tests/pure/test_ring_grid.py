@@ -37,7 +37,9 @@ def test_a_turned_light_has_in_each_turned_direction_what_it_had_before():
         np.testing.assert_allclose(basis(RANDOM[:50] @ turn.T) @ (of_light @ light), basis(RANDOM[:50]) @ light)
 
 
-def test_the_poles_have_cells_and_other_sizes_have_none():
+def test_the_poles_and_the_seam_have_cells_and_other_sizes_have_none():
     assert set(ring_grid(24).cell_of([[0, 0, 1], [0, 0, -1]])) == {0, 16}
+    # A hair on the other side of +X, where cells begin: an angle that is 2 pi when rounded.
+    assert ring_grid(80).cell_of([[1, -1e-20, 0]]) == ring_grid(80).cell_of([[1, -1e-3, 0]])
     with pytest.raises(ValueError, match="expected 320, 80, 24 cells, got 20"):
         ring_grid(20)

@@ -62,7 +62,7 @@ def scaled(light: ObjectLight, gain: float) -> ObjectLight:
     """The light `gain` times as bright."""
     reflections = light.reflections
     if reflections is not None:
-        reflections = replace(reflections, radiance=reflections.radiance * np.float32(gain))
+        reflections = replace(reflections, radiance=reflections.radiance * gain)
     return replace(light, sh=light.sh * gain, key=light.key and brighter(light.key, gain), reflections=reflections)
 
 
