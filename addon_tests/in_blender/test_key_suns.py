@@ -10,7 +10,7 @@ from effect_scenes import shader_look
 from previs_runs import DRAFT, PlainPrevis
 from renders import pixels_of_file, rendered_picture, rendered_sphere
 from shown_lights import keyed
-from tiny_scenes import add_instance, box, empty_scene, material, nodes_of, opened, orthographic, phone, sphere
+from tiny_scenes import add_instance, black_smoke, box, empty_scene, material, opened, orthographic, phone, sphere
 
 from xihe_blender.apply.datablocks import KEY_LIGHT, SHADOW_CATCHER, applied_worlds
 from xihe_blender.apply.key_suns import (
@@ -125,19 +125,17 @@ def test_a_sun_shines_on_its_own_object_alone_and_is_gone_after_the_comparison()
 def test_smoke_beside_other_objects_covers_what_its_density_says(is_instance):
     scene = empty_scene()
     virtual = virtual_collection(scene, create=True)
-    smoke, asset = material("Smoke"), bpy.data.collections.new("Asset")
-    tree, output = nodes_of(smoke)
-    absorbing = tree.nodes.new("ShaderNodeVolumeAbsorption")
-    absorbing.inputs["Color"].default_value, absorbing.inputs["Density"].default_value = (0, 0, 0, 1), 2.0
-    tree.links.new(absorbing.outputs[0], output.inputs["Volume"])
-    box(scene, "Smoke", (0, 0, 0), (0.5, 0.5, 0.5), smoke, asset if is_instance else virtual)
+    asset = bpy.data.collections.new("Asset")
+    box(scene, "Smoke", (0, 0, 0), (0.5, 0.5, 0.5), black_smoke(2.0), asset if is_instance else virtual)
     if is_instance:
         add_instance(scene, asset, virtual)
-    for name, x in (("A", -0.7), ("B", 0.7)):
+    for name, x in (("A", -0.7), ("Z", 0.7)):
         sphere(scene, name, (x, 0, 0), 0.2, material(name), virtual)
     orthographic(scene)
     with open_comparer(scene, virtual_objects(scene), ["one"], RenderSettings((9, 9), 64, denoise=False)) as comparer:
         layers = render_passes(comparer.lit).layers
+        over_all_others = comparer.lit.view_layers[-1].name
+    assert over_all_others == comparer.layers["one", "Instance" if is_instance else "Smoke"]
     covered = sum(layers[layer]["Combined.A"][4, 4] for layer in comparer.layers.values())
     assert covered == pytest.approx(1 - np.exp(-2.0 * 0.5), abs=0.01)
 

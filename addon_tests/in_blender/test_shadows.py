@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Vector
-from tiny_scenes import add_lamp, box, empty_scene, material, phone, set_world, sphere
+from tiny_scenes import add_lamp, black_smoke, box, empty_scene, material, phone, set_world, sphere
 
 from addon_tests.pure.made import pose_of
 from xihe_blender.apply.datablocks import has_anything
@@ -29,7 +29,7 @@ from xihe_blender.compare.shadows import (
     surroundings,
     touches_view,
 )
-from xihe_blender.scene.virtual_objects import virtual_collection
+from xihe_blender.scene.virtual_objects import virtual_collection, virtual_objects
 from xihenet.camera import pixel_rays, valid_plane_depth
 from xihenet.light.key_light import sh_of_key_light
 from xihenet.records import Intrinsics, KeyLight, ObjectLight, RgbdFrame
@@ -184,6 +184,20 @@ def test_a_catcher_of_ours_is_found_and_removed():
     assert shadow_catchers() == [catcher]
     remove_shadow_catchers([catcher])
     assert not shadow_catchers() and not bpy.data.meshes and not bpy.data.materials
+
+
+def test_smoke_dims_what_is_behind_it_room_or_object_and_nothing_before_it():
+    scene = empty_scene()
+    set_world(scene, (SKY,) * 3)
+    phone(scene, (0, -3, 0), (0, 0, 0))
+    virtual = virtual_collection(scene, create=True)
+    box(scene, "Smoke", (0, 0, 0), (1.2, 0.2, 0.8), black_smoke(5.0), virtual)
+    for name, x, y in (("Behind", -0.25, 0.5), ("Within", 0, 0.025), ("Z before", 0.25, -0.5)):
+        box(scene, name, (x, y, 0), (0.15, 0.05, 0.3), material(name, emission=0.5), virtual)
+    result, _ = compared(scene, virtual_objects(scene), has_surfaces=False)
+    off = np.abs(result.methods["one"] - result.ground_truth).max(axis=-1) / result.ground_truth.max()
+    # Beside all of them, through smoke alone, and in the middle of each box.
+    assert off[24, [4, 18, 25, 32, 40]].max() < 0.05
 
 
 def test_ring_is_near_the_objects_and_none_of_them():

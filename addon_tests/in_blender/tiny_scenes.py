@@ -50,6 +50,16 @@ def material(name, colour=(0.7, 0.7, 0.7), emission=0.0):
     return made
 
 
+def black_smoke(density):
+    """A material that dims what is behind it, and has no surface."""
+    made = bpy.data.materials.new("Smoke")
+    tree, output = nodes_of(made)
+    absorbing = tree.nodes.new("ShaderNodeVolumeAbsorption")
+    absorbing.inputs["Color"].default_value, absorbing.inputs["Density"].default_value = (0, 0, 0, 1), density
+    tree.links.new(absorbing.outputs[0], output.inputs["Volume"])
+    return made
+
+
 def box(scene, name, centre, size, look=None, collection=None, inward=False):
     """An axis-aligned box; `inward` turns its faces around, which makes it a room."""
     x, y, z = (np.array([-0.5, 0.5]) * side for side in size)

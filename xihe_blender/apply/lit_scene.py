@@ -205,18 +205,18 @@ def _is_simulated(item: bpy.types.Object) -> bool:
 
 def _may_hide(item: bpy.types.Object) -> bool:
     """Whether it may have a surface: a mesh of edges or points alone has none, nor has a path, or one of fog."""
-    if _is_fog(item) or is_bare_curve(item):
+    if is_fog(item) or is_bare_curve(item):
         return False
     if item.type == "MESH":
         return bool(item.data.polygons or item.modifiers)
     return item.type in _SOLID or item.instance_type == "COLLECTION"
 
 
-def _is_fog(item: bpy.types.Object) -> bool:
+def is_fog(item: bpy.types.Object) -> bool:
     """Whether it is a volume without a surface, or an instance of nothing else: Cycles holds out no such."""
     if item.instance_type == "COLLECTION" and item.instance_collection is not None:
         parts = [part for part in item.instance_collection.all_objects if has_renderable_geometry(part)]
-        return bool(parts) and all(map(_is_fog, parts))
+        return bool(parts) and all(map(is_fog, parts))
     looks = [material_shading(slot.material).interactions & ~Interaction.DISPLACEMENT for slot in item.material_slots]
     return item.type == "VOLUME" or (bool(looks) and all(look == Interaction.VOLUME for look in looks))
 
@@ -488,7 +488,8 @@ def set_up_lit_scene(
     """Leave only `objects` in `lit`, each in a collection of its own, and give it one view layer per entry of `layers`.
 
     `layers` maps the layer's name to the object it shows and the world that lights it; the other objects hold out.
-    Of them smoke and fog, which would be drawn once more under each light, are seen by no camera: they cast shadows.
+    Of them smoke and fog, which Cycles would draw once more under each light, are seen by no camera: they cast shadows.
+    Layers that show such are last, since they go over the others: what is before smoke holds it out.
     """
     root = lit.collection
     for child in list(root.children):
@@ -501,14 +502,14 @@ def set_up_lit_scene(
         collection.objects.link(item)
         root.children.link(collection)
     lit.render.film_transparent, lit.background_set = True, None
-    placeholder = lit.view_layers[0]
-    for name, (shown, world) in layers.items():
+    placeholder, fogs = lit.view_layers[0], {item.name for item in objects if is_fog(item)}
+    for name, (shown, world) in sorted(layers.items(), key=lambda layer: layer[1][0] in fogs):
         layer = lit.view_layers.new(name)
         layer.use_pass_z = True
         layer.world_override = world
         for item, child in zip(objects, layer.layer_collection.children, strict=True):
-            child.indirect_only = item.name != shown and _is_fog(item)
-            child.holdout = item.name != shown and not child.indirect_only
+            child.indirect_only = item.name != shown and item.name in fogs
+            child.holdout = item.name != shown and item.name not in fogs
     lit.view_layers.remove(placeholder)
 
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from xihe_blender.apply.datablocks import LIT_SCENE, PREFIX, remove_lit_collections
 from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, remove_key_sun, show_in_reflections
-from xihe_blender.apply.lit_scene import set_up_lit_scene, show_only_in
+from xihe_blender.apply.lit_scene import is_fog, set_up_lit_scene, show_only_in
 from xihe_blender.apply.reflection_pictures import forget_reflections, has_sun_for_lamp, reflect_in_world
 from xihe_blender.apply.sh_worlds import apply_sh_to_world, make_sh_world, remove_unused_node_group
 from xihe_blender.apply.shadow_catchers import (
@@ -212,7 +212,12 @@ class Comparer:
         for method in lights:
             layers = {key[1]: lit.layers[self.layers[key]] for key in self.worlds if key[0] == method}
             shaded = background * shadow_of_all(layers, in_view)
-            methods[method], weights = composite(shaded, list(layers.values()), captured, tolerance)
+            fogs = [layers.pop(name) for name in list(layers) if is_fog(bpy.data.objects[name])]
+            picture, weights = composite(shaded, list(layers.values()), captured, tolerance)
+            for fog in fogs:  # It does not hold out what is behind it.
+                picture, covered = composite(picture, [fog], captured, tolerance)
+                weights = covered + (1 - covered) * weights
+            methods[method] = picture
         return methods, weights, lit.render_s
 
     def _catch_on_scan(self, captured: RgbdFrame) -> dict[str, ArrayBool]:
