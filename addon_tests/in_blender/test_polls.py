@@ -96,11 +96,27 @@ def test_what_is_parented_to_a_virtual_object_and_left_in_the_room_is_doubted():
     hat.parent = add(scene, "Neck", None)
     hat.parent.parent = bpy.data.objects["Ball"]
     add(scene, "Flame", bpy.data.lights.new("Flame", "POINT")).parent = bpy.data.objects["Ball"]
+    scene.view_layers[0].update()
     (said,) = (doubt for doubt in polls.doubts(scene) if "parented" in doubt)
     assert said == "'Hat' is parented to a virtual object, but part of the room: add it too"
     hat.hide_render = True
     assert not any("parented" in doubt for doubt in polls.doubts(scene))
     hat.hide_render = False
+    cutters = bpy.data.collections.new("Cutters")
+    scene.collection.children.link(cutters)
+    cutters.objects.link(hat)
+    scene.collection.objects.unlink(hat)
+    scene.view_layers[0].update()
+    assert any("parented" in doubt for doubt in polls.doubts(scene))
+    for hiding, name in (
+        (cutters, "hide_render"),
+        (scene.view_layers[0].layer_collection.children["Cutters"], "exclude"),
+    ):
+        setattr(hiding, name, True)
+        scene.view_layers[0].update()
+        assert not any("parented" in doubt for doubt in polls.doubts(scene))
+        setattr(hiding, name, False)
+
     make_virtual(scene, [hat])
     assert not any("parented" in doubt for doubt in polls.doubts(scene))
 

@@ -20,7 +20,6 @@ from xihe_blender.io.old_runs import old_runs, runs_in
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import (
     ancestors,
-    collections_of,
     has_renderable_geometry,
     is_bare_curve,
     virtual_objects,
@@ -110,11 +109,12 @@ def doubts(scene: bpy.types.Scene) -> list[str]:
 
 
 def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
-    virtual, rendered = virtual_objects(scene), _rendered_objects(scene)
-    unseen = [item.name for item in virtual if item not in rendered]
+    virtual, rendered = virtual_objects(scene), _rendered_collections(scene)
+    unseen = [item.name for item in virtual if not _is_rendered(item, rendered)]
     bare = [item.name for item in virtual if is_bare_curve(item)]
     inserted = set(virtual)
-    left = [item.name for item in scene.objects if item.parent is not None and _is_left_in_room(item, inserted)]
+    hanging = [item for item in scene.view_layers[0].objects if item.parent is not None and _hangs_on(item, inserted)]
+    left = [item.name for item in hanging if _is_rendered(item, rendered)]
     around = [item.name for item in virtual if any(_encloses(item, camera) for camera in _cameras(scene))]
     found = []
     if unseen:
@@ -137,23 +137,25 @@ def _named(names: list[str]) -> str:
     return repr(names[0]) if len(names) == 1 else f"{names[0]!r} and {len(names) - 1} more"
 
 
-def _rendered_objects(scene: bpy.types.Scene) -> set[bpy.types.Object]:
-    """Virtual objects that renders show, by themselves and by their collections, at some frame at least."""
-    virtual, _ = collections_of(scene)
-    found: set[bpy.types.Object] = set()
-    enabled = [scene.collection]
+def _rendered_collections(scene: bpy.types.Scene) -> set[bpy.types.Collection]:
+    """Those that renders show, the scene's own among them."""
+    found, enabled = set(), [scene.collection]
     while enabled:
         collection = enabled.pop()
+        found.add(collection)
         enabled += [child for child in collection.children if not child.hide_render]
-        if collection in virtual:
-            found.update(item for item in collection.objects if not item.hide_render or _is_animated(item))
     return found
 
 
-def _is_left_in_room(item: bpy.types.Object, virtual: set[bpy.types.Object]) -> bool:
-    """Whether renders show it in the room while what it hangs on is not there."""
-    is_shown = item not in virtual and not item.hide_render and has_renderable_geometry(item)
-    return is_shown and any(above in virtual for above in ancestors(item))
+def _is_rendered(item: bpy.types.Object, rendered: set[bpy.types.Collection]) -> bool:
+    """Whether renders show it, by itself and by one of its collections, at some frame at least."""
+    return (not item.hide_render or _is_animated(item)) and not rendered.isdisjoint(item.users_collection)
+
+
+def _hangs_on(item: bpy.types.Object, virtual: set[bpy.types.Object]) -> bool:
+    """Whether it is a part of the room that is parented to a virtual object, maybe by others."""
+    is_in_room = item not in virtual and has_renderable_geometry(item)
+    return is_in_room and not virtual.isdisjoint(ancestors(item))
 
 
 def _encloses(item: bpy.types.Object, camera: bpy.types.Object) -> bool:
