@@ -1,6 +1,7 @@
 """The `xihe` command as a user types it: exit codes, what goes to stdout and stderr, Ctrl-C, full disks, mistakes."""
 
 import hashlib
+import os
 import random
 import re
 import resource
@@ -47,14 +48,27 @@ def previs(blend, out, *arguments, run=xihe_here):
 
 @pytest.mark.slow
 @pytest.mark.wheel_only("inside a whole Blender the module is not `bpy` of a wheel")
-def test_a_command_that_has_blender_ends_at_once_with_its_exit_code():
-    """Where torch is loaded as well, Blender waits for ever on its own way out."""
+@pytest.mark.parametrize("has_own_folder", [True, False])
+def test_a_command_that_has_blender_ends_at_once_with_its_exit_code(tmp_path, has_own_folder):
+    """Where torch is loaded as well, Blender waits for ever on its own way out.
+
+    In a folder with a long name it cannot make one of its own for temporary files.
+    """
+    folder = tmp_path
+    while not has_own_folder and len(str(folder)) < 1013:
+        folder /= "x" * min(200, 1013 - len(str(folder)))
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "of others").touch()
     code = (
         "import atexit, sys, bpy; from xihe_blender.cli.main import command; atexit.register(print, 'the way out');"
         "sys.argv = ['xihe', 'export', 'nowhere.json', '--to', 'three']; command()"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=100)
+    with_folder = os.environ | {"TMPDIR": str(folder)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=with_folder, capture_output=True, text=True, timeout=100
+    )
     assert done.returncode == 2 and "nowhere.json" in done.stderr and "the way out" not in done.stdout
+    assert [file.name for file in folder.iterdir()] == ["of others"]
 
 
 # -------------------------------------------------------------------------------------------------------------- scenes

@@ -8,12 +8,9 @@ mend it, and one line says how; 130 after Ctrl-C, and the same command resumes, 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import importlib
-import os
 import re
 import shlex
-import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -103,12 +100,10 @@ def command() -> NoReturn:
     Blender 4.5 was seen to wait for ever on its own way out, after a run whose estimator had loaded torch.
     """
     code = main()
-    if bpy := sys.modules.get("bpy"):
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError):  # Nobody reads any more.
-                stream.flush()
-        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
-        os._exit(code)
+    if "bpy" in sys.modules:
+        from xihe_blender.lab.workers.processes import leave_blender
+
+        leave_blender(code)
     sys.exit(code)
 
 

@@ -39,9 +39,11 @@ def module_command(module: str, blender: str | None = None) -> list[str]:
 
 def leave_blender(code: int) -> NoReturn:
     """End this Blender with `code`, at once."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):  # Nobody reads any more.
+            stream.flush()
+    if Path(bpy.app.tempdir).name.startswith("blender_"):  # Where it could make none, it is that of everybody's.
+        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
     os._exit(code)
 
 
