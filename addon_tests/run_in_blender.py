@@ -19,7 +19,8 @@ import bpy
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from xihe_blender.lab.workers.processes import EXIT_CRASHED, leave_blender  # noqa: E402
+from xihe_blender.io.blender_output import leave_blender  # noqa: E402
+from xihe_blender.lab.workers.processes import EXIT_CRASHED  # noqa: E402
 
 FOLDERS = ("addon_tests/pure", "addon_tests/in_blender")
 PYTHON = ".".join(str(number) for number in sys.version_info[:2])

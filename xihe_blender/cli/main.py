@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR, notes_on
 from xihe_blender.errors import UserError, format_disk_error
-from xihe_blender.io.blender_output import blender_output_aside, open_closed_streams
+from xihe_blender.io.blender_output import blender_output_aside, leave_blender, open_closed_streams
 from xihenet import __version__
 
 COMMANDS = {
@@ -95,14 +95,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def command() -> NoReturn:
-    """`main` as a program, which ends with its exit code.
-
-    Blender 4.5 was seen to wait for ever on its own way out, after a run whose estimator had loaded torch.
-    """
+    """`main` as a program, which ends with its exit code."""
     code = main()
     if "bpy" in sys.modules:
-        from xihe_blender.lab.workers.processes import leave_blender
-
         leave_blender(code)
     sys.exit(code)
 

@@ -1,8 +1,7 @@
 """Processes beside this one that have Blender and this project at hand.
 
 With the bpy wheel, as `python -m module`. A whole Blender's Python has no bpy of its own: there it is another Blender
-in background, which runs this file, with the paths of this one. Its own way out is not taken: Blender 4.3 was seen to
-wait for ever in it, after renders.
+in background, which runs this file, with the paths of this one. Its own way out is not taken (`leave_blender`).
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import contextlib
 import json
 import os
 import runpy
-import shutil
 import sys
 import threading
 import traceback
@@ -37,23 +35,14 @@ def module_command(module: str, blender: str | None = None) -> list[str]:
     return [*start, "--", json.dumps(sys.path), module]
 
 
-def leave_blender(code: int) -> NoReturn:
-    """End this Blender with `code`, at once."""
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):  # Nobody reads any more.
-            stream.flush()
-    if Path(bpy.app.tempdir).name.startswith("blender_"):  # Where it could make none, it is that of everybody's.
-        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)
-    os._exit(code)
-
-
 @contextlib.contextmanager
 def only_with_a_reader(pipe: int) -> Iterator[None]:
     """End this Blender within a second or two of the end of whoever reads `pipe`, if that comes during the block.
 
     Whether a pipe still has a reader shows only when it is written to, so an empty line is written every second.
     """
-    from xihenet.broken_pipes import broken_pipes_raise  # What runs this file as a program has not found it yet.
+    from xihe_blender.io.blender_output import leave_blender  # What runs this file as a program has not found them yet.
+    from xihenet.broken_pipes import broken_pipes_raise
 
     is_over = threading.Event()
 
@@ -85,6 +74,8 @@ def _run_module(paths: str, module: str, *arguments: str) -> NoReturn:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
     except Exception:  # noqa: BLE001  # Whatever it is, the process ends with it.
         traceback.print_exc()
+    from xihe_blender.io.blender_output import leave_blender
+
     leave_blender(code)
 
 
