@@ -184,14 +184,16 @@ class XIHE_UL_effects(bpy.types.UIList):
     """An effect a row: whether it is simulated, its name, and what the user wants."""
 
     # Blender counts the parameters.
-    def draw_item(self, context: Any, layout: Any, data: Any, item: Any, _i: Any, _owner: Any, _p: Any) -> None:
+    def draw_item(
+        self, context: Any, layout: Any, data: Any, item: Any, _i: Any, _owner: Any, _p: Any, index: int
+    ) -> None:
         row = layout.row(align=True)
         row.active = item.state == "on"
         row.label(
             text=in_title(item.name), icon="CHECKBOX_HLT" if item.state == "on" else "CHECKBOX_DEHLT", translate=False
         )
         # A narrow sidebar has no room for a name and a choice that is nobody's.
-        is_chosen = item.override != "AUTO" or item == data.effects[data.active_effect]
+        is_chosen = item.override != "AUTO" or index == data.active_effect
         if item.is_switchable and (is_chosen or not is_narrow(context)):
             choice = layout.row()
             choice.ui_units_x = 3.2
