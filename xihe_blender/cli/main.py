@@ -95,8 +95,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def command() -> NoReturn:
-    """`main` as a program, which ends with its exit code."""
-    code = main()
+    """`main` as a program, which ends with its exit code, after an error of ours as well."""
+    try:
+        code = main()
+    except Exception:  # noqa: BLE001  # Whatever it is, the process ends with it.
+        sys.excepthook(*sys.exc_info())
+        code = 1
     if "bpy" in sys.modules:
         leave_blender(code)
     sys.exit(code)
