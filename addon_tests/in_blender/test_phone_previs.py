@@ -11,6 +11,7 @@ from previs_runs import IPAD, SMALL, counted_renders, files_below, finished_run,
 from results_schema import without_times
 from tiny_scenes import room_with_a_virtual_sphere
 
+from xihe_blender.compare.side_by_side import read_picture
 from xihe_blender.errors import UserError
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
@@ -83,6 +84,9 @@ def test_the_phone_changes_the_light_and_leaves_the_captures_perfect(finished, i
             frames = [load_frame(run.outputs.capture(entry["frame"])) for run in (finished, ipad)]
             assert np.array_equal(frames[0].plane_depth_m, frames[1].plane_depth_m)
             assert np.array_equal(frames[0].srgb_u8, frames[1].srgb_u8)
+            shown = np.rint(255 * read_picture(ipad.outputs.picture("captured", entry["frame"])))
+            assert np.array_equal(shown, load_frame(ipad.outputs.seen(entry["frame"])).srgb_u8)
+            assert not np.array_equal(shown, frames[1].srgb_u8)
     lights = [[probe["sh"] for _, probe in steps(run.results)] for run in (finished, ipad)]
     assert not np.array_equal(*lights)
     assert [probe["sh_truth"] for _, probe in steps(finished.results)] == [

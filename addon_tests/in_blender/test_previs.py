@@ -78,6 +78,14 @@ def test_metrics_follow_from_the_files(finished):
     assert compared
 
 
+def test_a_frame_took_the_time_of_its_capture_and_of_its_reference_lights(finished):
+    work = finished.outputs.folder / "work"
+    for frame in (entry for entry in finished.results["frames"] if entry["captured"]):
+        files = [*work.glob(f"times_{frame['frame']:04d}.json"), *work.glob(f"reference_*_{frame['frame']:04d}.json")]
+        assert len(files) == 1 + len(frame["probes"])
+        assert frame["render_s"] == pytest.approx(sum(read_strictly(file)["render_s"] for file in files))
+
+
 @pytest.mark.slow
 def test_another_estimator_beside_the_chosen_one_says_and_shows_what_it_does_when_it_is_chosen(finished, tmp_path):
     settings = replace(SMALL, estimator="projection", others=("lattice", "ambient", "projection"))
