@@ -19,9 +19,16 @@ from tiny_scenes import (
 
 from xihe_blender.addon.overlay import forget_positions
 from xihe_blender.capture.render import RenderSettings, working_scene
+from xihe_blender.jobs import run_blocking
 from xihe_blender.light_transport.inspection import open_inspection
 from xihe_blender.light_transport.render_reuse import SceneState, StateSurvey, each_its_own, plan_render_reuse
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.prepare import render_reuse
+from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.simulated_phone import CaptureNeeds
+from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.virtual_objects import virtual_collection
+from xihenet.effects import plan_effects
 
 FRAMES = (1, 2)
 
@@ -377,3 +384,14 @@ def test_shapes_shared_by_the_room_and_a_virtual_object_are_noticed_in_both():
     sphere(scene, "Twin", (0.5, 0.5, 1.0), 0.1, material("Twin")).data = ball.data
     first, second = scene_states(scene)
     assert first.room != second.room and first.virtual != second.virtual
+
+
+def test_each_frame_of_a_recording_has_a_capture_of_its_own_where_a_rendered_one_would_serve_for_all():
+    scene = room_with_a_virtual_sphere(is_still=True)
+    plan, needs = plan_previs(scene, PrevisSettings(frames=(1, 2))), CaptureNeeds(frozenset({1, 2}), frozenset({1, 2}))
+    survey = run_blocking(survey_path(scene, plan))
+    of_each = [
+        render_reuse(survey, plan_effects(survey.required, {}), needs, has_truth=has_truth).captures
+        for has_truth in (True, False)
+    ]
+    assert of_each == [{1: 1, 2: 1}, {1: 1, 2: 2}]

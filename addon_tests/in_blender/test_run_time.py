@@ -33,6 +33,7 @@ def test_the_time_of_a_run_grows_with_its_frames_and_leaves_the_scene():
         frames = [tuple(range(1, n + 1)) for n in (2, 5)]
         (few, budget), (many, _) = (run_blocking(run_time_job(scene, replace(SMALL, frames=each))) for each in frames)
     assert all(0 < n < many.renders[kind][0] for kind, (n, _) in few.renders.items()) and len(few.renders) == 3
+    assert few.renders["probe"][0] == 2  # Of the two positions in view, each in one frame for both.
     assert few.total_s > 0 and budget.total_s > 0
     # Nothing changes in this room: a look from each object and a ball serve for all frames.
     n_probes, (capture, look) = 3, (budget.renders[kind][1] for kind in ("capture", "look"))
