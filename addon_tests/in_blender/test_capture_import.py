@@ -712,12 +712,18 @@ def test_the_light_is_shown_over_the_recording_with_its_shadow_on_the_scan(recor
 
 
 @pytest.mark.parametrize("light", ["sh", "sh+key+reflections"])
-def test_other_estimators_and_parts_of_light_are_composited_too(tmp_path, light):
+def test_other_estimators_and_parts_of_light_are_composited_too_and_the_film_shows_the_chosen_one(
+    tmp_path, light, monkeypatch
+):
+    films = []
+    monkeypatch.setattr("xihe_blender.previs.compare_path.save_film", lambda pictures, *_: films.append(pictures))
     scene = scene_of(recorded(tmp_path / "walk", lamp_walk(SMALL)), tmp_path)
     choices = {"others": ("projection",), "captured": "in-view", "network": "wifi"}
     found = run_on(scene, tmp_path / "out", light=light, **choices)
     last = found.frames[-1]
     assert set(last.composited) == {"lattice", "projection"}
+    ((*_, at_the_end),) = (film.values() for film in films)
+    assert at_the_end == tmp_path / "out" / last.composited["lattice"]
     pictures = [read_picture(tmp_path / "out" / last.composited[name]) for name in ("lattice", "projection")]
     assert np.abs(pictures[0] - pictures[1]).max() > 0.01
     assert found.settings.light == light
