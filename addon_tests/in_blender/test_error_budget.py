@@ -26,7 +26,7 @@ from tiny_scenes import (
 )
 
 from xihe_blender.capture import reference_probe
-from xihe_blender.capture.all_around import light_of_views, open_all_around, view_rotation
+from xihe_blender.capture.all_around import light_of_views, means_of_anchors, open_all_around, view_rotation
 from xihe_blender.capture.reference_probe import CONE, ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.satin_probe import satin_ball_at
@@ -38,6 +38,7 @@ from xihe_blender.previs.error_budget import error_budget, interval_of_mean
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.satin_ball import HALF_ANGLE, cone_factors, satin_factors
 from xihenet.sh_basis import per_coefficient
+from xihenet.sphere import AnchorLattice
 
 QUICK = QuickPrevis(size=(32, 24), preset="draft", samples=4, exposure=1.0)
 NOISY = replace(QUICK, samples=1)
@@ -237,7 +238,9 @@ def test_ball_and_pictures_all_around_show_the_light_of_the_reference_probe():
     with open_all_around(scene, RenderSettings((8, 8), 32), exposure=1.0, with_surfaces=False) as around:
         around.scanner.scene.frame_set(1)
         views = [around.look(view, np.array(place)) for view in range(6)]
-    np.testing.assert_allclose(light_of_views(views), light, atol=0.06 * light.max())
+    seen = light_of_views(views)
+    np.testing.assert_allclose(seen, light, atol=0.06 * light.max())
+    np.testing.assert_allclose(means_of_anchors(views, AnchorLattice(1))[0], seen[0] / np.sqrt(4 * np.pi), rtol=1e-6)
 
 
 @pytest.mark.parametrize("view", range(6))
