@@ -234,6 +234,13 @@ def test_there_is_none_in_flat_light_and_in_the_dark(light):
     assert find_key_light(light) is None
 
 
+@pytest.mark.parametrize(("strength", "is_found"), [(0.047, [0, 0, 0]), (0.08, [0, 0, 1]), (0.12, [1, 1, 1])])
+def test_one_that_is_there_stays_with_half_the_light_that_another_needs(strength, is_found):
+    up = np.array([0.0, 0, 1])
+    weak, before = flat() + lamp(up, strength), (None, *(find_key_light(flat() + lamp(one)) for one in (-up, up)))
+    assert [find_key_light(weak, previous=one) is not None for one in before] == is_found
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_white_surface_has_the_irradiance_of_the_estimate_in_the_mean(seed):
     """A key light shines on one side alone, and sharply: single normals differ, the sum of all does not."""

@@ -105,6 +105,20 @@ def test_lattices_of_one_size_are_equal_and_share_what_is_built():
         first.directions[0] = 0
 
 
+@pytest.mark.parametrize("is_weighted", [True, False])
+def test_a_mean_is_that_of_what_is_around_each_anchor(is_weighted):
+    rng, lattice = np.random.default_rng(0), AnchorLattice(100)
+    directions, values, weights = in_cube(rng, 150), rng.normal(size=(150, 3)), rng.uniform(0.1, 3, 150)
+    means, is_set = lattice.means(directions, values, weights if is_weighted else None)
+    around = [lattice.nearest(directions) == anchor for anchor in range(100)]
+    expected = [
+        np.average(values[near], axis=0, weights=weights[near] if is_weighted else None) if near.any() else np.zeros(3)
+        for near in around
+    ]
+    np.testing.assert_allclose(means, expected, atol=1e-12)
+    assert is_set.tolist() == [near.any() for near in around] and 0 < is_set.sum() < 100
+
+
 @pytest.mark.parametrize("n", FEW_OR_ODD + (512, 1280, 2048))
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_exact_is_never_wrong_on_nasty_directions(n, dtype):
