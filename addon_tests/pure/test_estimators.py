@@ -12,10 +12,11 @@ import pytest
 
 from addon_tests.pure.made import constant, frame_of, random_cloud
 from xihenet import estimators
-from xihenet.backend import LocalBackend, estimate_light
+from xihenet.backend import LocalBackend, NoAnswer, estimate_light
 from xihenet.colour import linear_to_srgb, srgb_to_linear
 from xihenet.edge.batching import Inference, unserved_because
 from xihenet.estimators import EstimateContext, Estimator
+from xihenet.estimators.base import NotFinite
 from xihenet.estimators.lattice import Lattice
 from xihenet.estimators.weights_format import weights_sha256
 from xihenet.records import PointCloud, UnitSphereCloud
@@ -107,6 +108,18 @@ def test_an_error_within_an_estimator_names_it():
 
     with pytest.raises(ValueError, match=r"^painter: assignment destination is read-only$"):
         Painter(N).estimate(constant_cloud(True))
+
+
+@pytest.mark.parametrize("error", [NoAnswer("too late"), NotFinite("all black")])
+def test_an_estimator_may_say_itself_that_the_light_is_not_known(error):
+    class Remote(Estimator):
+        name = "remote"
+
+        def _estimate(self, cloud, context):
+            raise error
+
+    light = estimate_light(LocalBackend(Remote(N)), constant_cloud(True), EstimateContext(), 1.0)
+    assert light.unknown_because == error.reason and not light.is_valid
 
 
 @pytest.fixture

@@ -69,8 +69,8 @@ class Estimator(ABC):
         try:
             light = self._estimate(cloud, context or EstimateContext())
         except ValueError as error:
-            if isinstance(error, NotFinite) or str(error).startswith(f"{self.name}:"):
-                raise
+            if type(error) is not ValueError or str(error).startswith(f"{self.name}:"):
+                raise  # Such as NotFinite and NoAnswer, which callers know.
             raise ValueError(f"{self.name}: {error}") from error  # Such as NumPy's, of an estimator of somebody else.
         return self._checked(light)
 
