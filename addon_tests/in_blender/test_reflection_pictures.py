@@ -11,8 +11,9 @@ from tiny_scenes import empty_scene, material, orthographic, sphere
 
 from xihe_blender.apply.applied_lights import lights_of_scene
 from xihe_blender.apply.datablocks import world_name
-from xihe_blender.apply.key_suns import apply_key_to_sun, make_key_sun, show_in_reflections
+from xihe_blender.apply.key_suns import apply_key_to_sun, key_suns, make_key_sun, show_in_reflections
 from xihe_blender.apply.keys import f_curves
+from xihe_blender.apply.lit_timeline import Reflected, key_object_light
 from xihe_blender.apply.reflection_pictures import (
     PICTURE,
     forget_reflections,
@@ -29,7 +30,7 @@ from xihenet.light.environments import laid_out
 from xihenet.light.reflections import reflection_panorama, without_key_light
 from xihenet.mirror_ball import seen_in_ball
 from xihenet.panorama import panorama_directions
-from xihenet.records import KeyLight, Reflections
+from xihenet.records import KeyLight, ObjectLight, Reflections
 from xihenet.sphere import AnchorLattice
 
 SIDE = 40
@@ -173,6 +174,17 @@ def test_the_light_of_an_object_that_reflects_is_read_back_from_its_file(tmp_pat
     assert [light.frame for light in lights] == [1, 7]
     for light, factor in zip(lights, (1, 3), strict=True):
         assert light.light.sh == pytest.approx(factor * FLAT, abs=1e-6)
+
+
+@pytest.mark.parametrize("has_lamp", [True, False])
+def test_a_sun_is_reflected_where_no_picture_of_the_run_has_its_lamp(tmp_path, has_lamp):
+    write_radiance(tmp_path / "0_Ball_0001.exr", np.zeros((16, 32, 3), np.float32))
+    empty_scene()
+    light = ObjectLight(FLAT, KeyLight(np.array([0, 0, 1.0]), np.full(3, 0.1), 0.2, True))
+    reflected = Reflected({1: tmp_path / "0_Ball_0001.exr"}, has_lamp)
+    key_object_light(make_sh_world(world_name("Ball")), "Ball", {1: light}, 1.0, reflected, has_key_light=True)
+    (sun,) = key_suns()
+    assert sun.visible_glossy == sun.visible_transmission == (not has_lamp)
 
 
 def test_a_mirror_ball_shows_the_lamps_that_glossy_rays_see_and_the_scene_stays_as_it_was():

@@ -22,6 +22,7 @@ def lived_in_scene():
     """`walk` as somebody works on it: settings that differ from a run's, unkeyed edits, two scenes, selections."""
     scene = walk()
     bpy.data.scenes.new("Another")
+    bpy.data.images.new("Painted", 4, 4)
     hidden = bpy.data.collections.new("Hidden")
     scene.collection.children.link(hidden)
     box(scene, "Put Aside", (1, 1, 0.2), (0.3, 0.3, 0.3), collection=hidden).hide_render = True

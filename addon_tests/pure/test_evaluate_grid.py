@@ -245,6 +245,7 @@ def test_tables_hold_a_row_per_trial_and_leave_empty_what_is_not_known(tmp_path)
 def test_the_worst_frame_is_the_earliest_of_the_lowest_psnr():
     none = Metrics(**dict.fromkeys(METRICS))
     assert worst_frame({3: replace(none, psnr=5.0), 2: replace(none, psnr=5.0), 1: none}) == 2
+    assert worst_frame({1: replace(none, psnr=6.0), 2: replace(none, psnr=5.0)}) == 2
     assert worst_frame({1: none}) is None and worst_frame({}) is None
 
 

@@ -43,8 +43,11 @@ def test_a_trial_without_its_partner_is_left_out():
 
 def test_the_truth_is_never_shipped_and_still_told():
     names = ["truth", "ambient", "lattice", "projection"]
-    assert ranked(batch(), ERROR, names)[0] == "truth"
-    assert "Ship <code>lattice</code>" in answers.which_estimator(batch())
+    assert ranked(batch(), ERROR, names) == ranked(batch(), PICTURE, names) == ["truth", *names[2:], "ambient"]
+    assert plain(answers.which_estimator(batch())) == (
+        "Ship lattice: its mean light error, 0.380, is the lowest, clearly below that of projection and ambient. "
+        "It has the best pictures too."
+    )
     assert [one.first for one in against_the_best(batch(), ERROR)] == ["truth", "projection", "ambient"]
 
 
@@ -57,7 +60,7 @@ def test_what_differs_by_chance_is_called_so():
         for name in ("lattice", "projection")
     ]
     said = answers.which_estimator(trials)
-    assert "Ship <code>lattice</code>" in said and "may be chance" in said
+    assert "Ship <code>lattice</code>" in said and "may be chance" in said and "clearly" not in said
 
 
 def test_a_single_estimator_is_no_comparison():
@@ -66,7 +69,11 @@ def test_a_single_estimator_is_no_comparison():
 
 def test_a_worse_phone_costs_what_it_costs():
     said = plain(answers.is_a_better_phone_worth_it(batch()))
-    assert "perfect has 0.050 less" in said and "that is clear" in said and "+0.050" in said
+    assert "perfect has 0.050 less" in said and "12 % of it, and that is clear" in said and "+0.050" in said
+    spoilt = [
+        replace(one, shc_rmse=9.0) if one.estimator == "ambient" and one.phone == "cheap" else one for one in batch()
+    ]
+    assert plain(answers.is_a_better_phone_worth_it(spoilt)) == said
     assert "One phone was tried" in answers.is_a_better_phone_worth_it(batch(phones=("perfect",)))
 
 
@@ -87,6 +94,15 @@ def test_how_often_is_answered_where_the_ambient_light_is_best():
         "With <code>lattice</code>, the trigger as it is asks"
     )
     assert answers.how_often([best]).startswith("No estimator that looks at the room")
+
+
+@pytest.mark.parametrize(
+    ("as_good", "words"),
+    [(0, "No lazier trigger stays within 5 % of that."), (1, "It is the laziest that stays within")],
+)
+def test_lazier_triggers_that_are_worse_are_not_advised(as_good, words):
+    sweep = [replace(one, shc_rmse=0.1 if one.factor <= as_good else 0.2) for one in trial().trigger_sweep]
+    assert words in answers.how_often([trial(trigger_sweep=tuple(sweep))])
 
 
 def test_a_rule_without_thresholds_says_what_every_frame_gives_and_how_to_hear_of_others():

@@ -30,6 +30,14 @@ def test_points_are_judged_within_scene_front_and_kind():
     assert all(p.on_front for p in points if p.front == "compute")
 
 
+def test_a_round_that_was_disturbed_makes_no_choice_flicker_and_equal_errors_have_no_spread():
+    disturbed = replace(measured("a", 0.1, 10), times_ms=(10, 10, 10, 10, 1000))
+    steady = replace(measured("b", 0.2, 20), times_ms=(20,) * 5)
+    first, second = points_of("room", {"render": [disturbed, steady]}, seed=0)
+    assert second.front_share < 0.2 and first.front_share == 1
+    assert first.error_spread == pytest.approx(0) == second.error_spread
+
+
 def test_a_plot_has_a_mark_for_every_choice_and_escapes_its_words():
     points = points_of("room", {"render": [measured("<a>", 0.1, 10, "draft"), measured("zero", 0, 30)]}, seed=0)
     drawn = pareto_plot(points, "title", "about")
@@ -49,6 +57,10 @@ def test_a_family_differs_in_one_choice_and_no_other():
     other = replace(measured("other", 0.1, 9), settings=ChoiceSettings(rendering=RenderChoice((4, 3), 8)))
     points = points_of("room", {"render": [*(measured(f"{n}", 0.1, n) for n in (4, 2, 1)), other]}, seed=0)
     assert [p.settings.rendering.samples for p in family(points, ("samples",))] == [1, 2, 4]
+    kinds = [ChoiceSettings(rendering=RenderChoice((8, 6), 4, n)) for n in (None, 12, 2)]
+    bounces = [replace(measured(f"{n}", 0.1, n + 1), settings=kind) for n, kind in enumerate(kinds)]
+    found = family(points_of("room", {"render": bounces}, seed=0), ("max_bounces",))
+    assert [p.settings.rendering.max_bounces for p in found] == [2, 12, None]
     assert family(points, ("max_bounces",)) == family(points[:1], ("samples",)) == []
 
 
