@@ -16,7 +16,7 @@ from scene_snapshot import data_blocks, differences, nothing_changes, snapshot
 from shown_lights import keyed, shown_light
 from tiny_scenes import add_instance, box, empty_scene, material, opened, room_with_a_virtual_sphere, saved, sphere
 
-from xihe_blender.addon import leftovers, light_operators
+from xihe_blender.addon import leftovers, light_operators, results_in_blender
 from xihe_blender.addon.live_light import misplaced
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.addon.run_settings import choices_of_run, choose_as_run
@@ -478,11 +478,15 @@ def test_the_first_and_last_picture_stay_where_the_path_goes_on_without_one(tmp_
     assert [file.read_text() for file in sorted((tmp_path / "lit").iterdir())] == 4 * ["third"] + 3 * ["fifth"]
 
 
-def test_the_pictures_of_a_run_of_some_frames_are_there_from_the_scenes_start_to_its_end(ran):
+@pytest.mark.parametrize(("after", "shown_after"), [(5, 5), (1_000_000, 7)])
+def test_the_pictures_of_a_run_of_some_frames_are_there_from_the_scenes_start_to_its_end(
+    ran, monkeypatch, after, shown_after
+):
+    monkeypatch.setattr(results_in_blender, "MOST_FRAMES_AFTER", 7)
     scene = opened(ran.out / "after.blend")
-    scene.frame_start, scene.frame_end = 0, N_FRAMES + 5
+    scene.frame_start, scene.frame_end = 0, N_FRAMES + after
     behind = show_lit(scene, ran.out).camera.data.background_images[0].image_user
-    assert (behind.frame_start, behind.frame_duration) == (0, N_FRAMES + 6)
+    assert (behind.frame_start, behind.frame_duration) == (0, N_FRAMES + shown_after + 1)
 
 
 def test_a_run_that_can_only_be_read_is_shown_from_pictures_for_this_session(tmp_path):

@@ -68,6 +68,9 @@ ERROR_CURVE, COVERAGE_CURVE, EXPECTED_CURVE = "Xihe SHC RMSE", "Xihe coverage", 
 LIGHT_HEIGHT = 64
 """Of the panorama; order 2 has no detail that more pixels would show."""
 
+MOST_FRAMES_AFTER = 1000
+"""After the run for which the last captured frame is shown: each is a link, of which Windows allows 1,023 a file."""
+
 
 def show_results(scene: bpy.types.Scene, folder: Path) -> None:
     """Show a run whose light is on the timeline of `scene` already: curves and pictures."""
@@ -140,7 +143,8 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
         exposure = results.settings.reference_exposure
         # Where the light of the first and of the last frame holds, to the scene's start and end, so must its picture.
         first, last = results.frames[0].frame, results.frames[-1].frame
-        path = range(min(scene.frame_start, first), max(scene.frame_end, last) + 1)
+        end = min(scene.frame_end, last + MOST_FRAMES_AFTER)
+        path = range(min(scene.frame_start, first), max(end, last) + 1)
         size, cameras = results.settings.size, phone_cameras(folder, captured)
         frames = CapturedFrames(pictures, path, folder / "lit", size, exposure, cameras)
         put_over_frames(lit, frames)
