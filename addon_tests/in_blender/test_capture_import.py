@@ -520,6 +520,7 @@ def test_a_run_renders_the_objects_alone_and_says_that_there_is_no_truth(recorde
     assert found.summary.mean_shc_rmse is None
     page = (out / "report.html").read_text()
     assert "there is no ground truth" in page
+    assert set(re.findall(r'<img data-kind="(\w+)"', page)) == {"captured", found.settings.estimator}
     assert "nan" not in re.findall(r">([^<]*)<", page)
     assert (out / "composited.mp4").stat().st_size > 1000
     assert (out / "untitled_lit.blend").exists()
