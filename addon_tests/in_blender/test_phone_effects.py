@@ -23,6 +23,7 @@ from tiny_scenes import (
     room_with_a_virtual_sphere,
 )
 
+from addon_tests.pure.made import frame_of
 from xihe_blender.capture.phone_surfaces import load_surfaces
 from xihe_blender.cli.effects import format_effects
 from xihe_blender.errors import UserError
@@ -34,12 +35,12 @@ from xihe_blender.previs.prepare import prepare_run
 from xihe_blender.previs.required_effects import effects_of_run, plan_phone_effects, positions_in
 from xihe_blender.previs.run_chain import run_chain
 from xihe_blender.previs.settings import load_estimators
-from xihe_blender.previs.simulated_phone import SURFACE_EFFECTS, choose_phone, simulate_phone
+from xihe_blender.previs.simulated_phone import SURFACE_EFFECTS, choose_phone, facts_of_capture, simulate_phone
 from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.effects import effects_as_json
 from xihenet.io.recording import load_frame
-from xihenet.phone import PHONE_EFFECTS
+from xihenet.phone import PHONE_EFFECTS, SurfaceFacts
 
 SESSION = replace(SMALL, phone="ipad_pro_lidar", network="lte")
 
@@ -308,3 +309,16 @@ def test_light_transport_comes_first_and_the_phone_behind_it():
     assert set(rows[-1]) == {"name", "state", "reason", "parameters", "origin", "cost"}
     line = next(line for line in format_effects(effects).splitlines() if line.startswith("edge_bleeding"))
     assert " on " in line and "radius_px 2" in line
+
+
+@pytest.mark.parametrize(("known", "state"), [(True, "off"), (False, "on")])
+def test_gloss_that_one_frame_does_not_know_is_taken_to_be_there(known, state):
+    scene, ones = room_with_a_virtual_sphere(), np.ones((3, 4), np.float32)
+    survey = run_blocking(survey_path(scene, plan_previs(scene, SESSION)))
+    facts = {}
+    for frame, roughness in ((1, ones), (2, ones if known else np.nan * ones)):
+        captured = frame_of(ones, frame=frame, time_s=frame / 24)
+        surfaces = SurfaceFacts(reflectance=ones, transmission=0 * ones, roughness=roughness)
+        facts[frame] = facts_of_capture(captured, np.zeros((1, 3)), "key", surfaces, None)
+    phone = simulate_phone(choose_phone(scene, survey, SESSION), facts, exposure=1.0)
+    assert phone.effects["glossy_dropout"].state == state
