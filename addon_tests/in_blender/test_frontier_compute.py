@@ -123,6 +123,9 @@ def test_a_trigger_at_zero_estimates_wherever_something_changes():
         for choice in (ComputeChoice(theta=0.0), ComputeChoice(theta=10.0))
     )
     assert eager == walk.n_places > base >= len(walk.positions)
+    dimming = replace(walk, frames=[replace(f, srgb_u8=f.srgb_u8 // n) for n, f in enumerate(walk.frames, 1)])
+    low, high = (walk_through(ChoiceBackend(ComputeChoice(theta=theta)), dimming) for theta in (0.01, 10.0))
+    assert low.n_estimates > high.n_estimates
 
 
 def test_projection_of_a_higher_order_begins_with_the_same_job_as_the_estimator():

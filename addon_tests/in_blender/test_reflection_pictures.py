@@ -9,11 +9,12 @@ from effect_scenes import shader_look
 from renders import rendered
 from tiny_scenes import empty_scene, material, orthographic, sphere
 
+from addon_tests.pure import runs
 from xihe_blender.apply.applied_lights import lights_of_scene
 from xihe_blender.apply.datablocks import world_name
 from xihe_blender.apply.key_suns import apply_key_to_sun, key_suns, make_key_sun, show_in_reflections
 from xihe_blender.apply.keys import f_curves
-from xihe_blender.apply.lit_timeline import Reflected, key_object_light
+from xihe_blender.apply.lit_timeline import NOTHING_REFLECTED, Reflected, key_object_light, light_of, reflected_of
 from xihe_blender.apply.reflection_pictures import (
     PICTURE,
     forget_reflections,
@@ -25,6 +26,7 @@ from xihe_blender.apply.sh_worlds import apply_sh_to_world, key_light_changes, m
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.run_lights import LightsAsked
+from xihe_blender.io.run_results import LightChange, ReflectionsResult
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.environments import laid_out
 from xihenet.light.reflections import reflection_panorama, without_key_light
@@ -185,6 +187,22 @@ def test_a_sun_is_reflected_where_no_picture_of_the_run_has_its_lamp(tmp_path, h
     key_object_light(make_sh_world(world_name("Ball")), "Ball", {1: light}, 1.0, reflected, has_key_light=True)
     (sun,) = key_suns()
     assert sun.visible_glossy == sun.visible_transmission == (not has_lamp)
+
+
+def test_where_one_picture_of_a_run_is_lost_nothing_is_reflected(tmp_path):
+    names = [f"0_Ball_{number:04d}.exr" for number in (1, 2)]
+    pictures = [ReflectionsResult(picture=name, seen_share=0.5) for name in names]
+    changes = [LightChange(frame=n, sh=(FLAT.tolist(),), reflections=one) for n, one in enumerate(pictures, 1)]
+    (tmp_path / names[0]).touch()
+    assert reflected_of(changes[:1], tmp_path) == Reflected({1: tmp_path / names[0]}, True)
+    assert reflected_of(changes, tmp_path) == NOTHING_REFLECTED
+
+
+@pytest.mark.parametrize("second", [0.8, 0.9])
+def test_a_world_knows_where_its_light_is_of_and_whether_that_moved(second):
+    entries = [runs.frame(1, runs.probe("Ball")), runs.frame(2, runs.probe("Ball", position_m=[0.3, -1.25, second]))]
+    of = light_of("Ball", runs.results(entries).frames)
+    assert of.places_m == {"Ball": (0.3, -1.25, 0.8)} and of.moves == (second != 0.8)
 
 
 def test_a_mirror_ball_shows_the_lamps_that_glossy_rays_see_and_the_scene_stays_as_it_was():

@@ -159,6 +159,11 @@ def test_the_page_is_one_file_with_its_pictures(tmp_path):
     assert not re.search(r"\bnan\b", plain(page)) and page == report_page(folder, results(trials), None)
 
 
+def test_the_error_of_each_estimator_is_told_by_phone(tmp_path):
+    said = plain(part(report_page(BatchFolder(tmp_path), results(batch()), None), "phone"))
+    assert re.search(r"lattice\s*0\.355\s*0\.405", said), said
+
+
 def test_the_time_of_a_step_stands_beside_the_error_of_each_estimator(tmp_path):
     trials = [replace(trial(estimator=name, error=0.25), number=k) for k, name in enumerate(("lattice", "ambient"))]
     whole = results(trials)
