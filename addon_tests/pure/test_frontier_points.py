@@ -82,6 +82,15 @@ def test_answers_are_sentences_with_units():
     )
 
 
+def test_the_last_tenth_of_the_error_and_the_least_error_of_each_frame_size_are_told():
+    whole = [measured(f"{ms}", error, ms) for ms, error in ((10, 0.5), (20, 0.145), (100, 0.12), (1000, 0.1))]
+    small = [ChoiceSettings(rendering=RenderChoice((4, 3), n)) for n in (1, 2)]
+    small = [replace(measured(f"{n}", 0.6 - n / 100, 2000), settings=one) for n, one in enumerate(small)]
+    told = " ".join(one.answer for one in answers(["room"], points_of("room", {"render": whole + small}, seed=0)))
+    assert "to 10.0 %. Nine tenths of that cost 100 ms a frame, with 100; all of it costs 10.0 times" in told
+    assert "8x6 pixels: 10.0 %; 4x3 pixels: 59.0 %" in told
+
+
 @pytest.mark.parametrize(
     ("errors", "said"), [((0.5, 0.3), "2048 anchors, the most that"), ((0.3, 0.299), "512 anchors are enough")]
 )
