@@ -119,7 +119,9 @@ class Video:
             raise ValueError(f"{self.path}: expected a video, and it has no pictures: record again")
         stream = container.streams.video[0]
         if stream.codec_context is None:
-            raise ValueError(f"{self.path}: its codec is not known: save it as H.264 or HEVC")
+            raise ValueError(
+                f"{self.path}: expected a video, and its codec is not known: record again, or save it as H.264 or HEVC"
+            )
         return stream
 
 
