@@ -167,6 +167,9 @@ def test_no_package_takes_the_name_of_ours(package):
     )
 
 
+BARE = "from xihenet.estimators import Estimator\nclass Evenly(Estimator):\n    name = 'evenly'\n"
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
@@ -176,6 +179,10 @@ def test_no_package_takes_the_name_of_ours(package):
             "evenly does not offer Evenly (module 'evenly' has no attribute 'Evenly'): mend or uninstall it",
         ),
         ({"code": "class Evenly: name = 'evenly'"}, "evenly: Evenly is no subclass of xihenet.estimators.Estimator"),
+        (
+            {"code": f"{BARE}    def __init__(self): super().__init__(1280, 'ldr')"},
+            "evenly: Evenly is made of n_anchors and target (too many positional arguments)",
+        ),
         ({"entry": "even = evenly:Evenly"}, "evenly: the name of Evenly is 'evenly', and 'even' is expected"),
     ],
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import inspect
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -124,6 +125,11 @@ def kind(name: str) -> type[Estimator]:
         raise ImportError(f"{row.module}: {row.class_name} is no subclass of xihenet.estimators.Estimator")
     if (own := getattr(found, "name", None)) != name:
         raise ImportError(f"{row.module}: the name of {row.class_name} is {own!r}, and {name!r} is expected")
+    if is_outside(name):
+        try:
+            inspect.signature(found).bind(1280, "ldr")
+        except TypeError as error:
+            raise ImportError(f"{row.module}: {row.class_name} is made of n_anchors and target ({error})") from error
     return found
 
 
