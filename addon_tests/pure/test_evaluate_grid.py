@@ -94,7 +94,7 @@ def test_a_folder_goes_on_with_the_same_settings_alone(tmp_path):
     Draft202012Validator(json_schema(BatchManifest)).validate(content)
     content["weights"][SETTINGS.estimators[0]] = "of another training"
     (tmp_path / "out" / "batch.json").write_text(json.dumps(content))
-    with pytest.raises(UserError, match="another training of its networks, or other code of an estimator: choose"):
+    with pytest.raises(UserError, match="another training of its networks or code of an estimator: choose"):
         folder.manifest(SETTINGS).take()
     (tmp_path / "out" / "batch.json").write_text(json.dumps(content | {"blender": "4.1"}))
     with pytest.raises(UserError, match="another version of Blender"):

@@ -31,7 +31,8 @@ END_BYTES = 2**16
 WORDS = {
     "blend_sha256": "scene file",
     "linked_sha256": "library, image or other file that the scene reads",
-    "weights": "training of its networks, or other code of an estimator",
+    "weights": "training of its networks or code of an estimator",
+    "others": "choice of other estimators",
     "effect_choices": "choice of effects",
     "between_estimates": "light between estimates",
     "n_anchors": "number of anchors",
