@@ -78,13 +78,15 @@ def test_the_sentence_says_what_a_look_takes_and_rounds_no_gain_up():
     ball = ObjectAdvice(name="Ball", look=look, expected_error=0.0260, predicted_error=0.0249, **of_ball)
     assert ball.sentence == (
         "look left for 1 second at frame 31, 2.6 s with the turns. The share of directions that are seen rises from "
-        "94 % to 97 %, and the expected error falls from 0.026 to 0.025 if they show what is guessed"
+        "94 % to 97 %, and the expected error falls from 0.026 to 0.025 if the new ones have the light that was guessed"
     )
     without = replace(ball, look=None)
     assert without.sentence == "no look away from this path would add much: it shows 94 % of all directions"
     inside = replace(without, from_behind=0.56).sentence
-    assert "Check the places: 56 % of the surfaces" in inside and "camera or object seems to be inside" in inside
-    assert replace(without, coverage=0.011).sentence.endswith("Lead the path around or closer, or choose another place")
+    assert "Check the places: 56 % of the surfaces" in inside
+    assert "the camera or the object seems to be inside" in inside
+    advice = "Lead the path around the object or closer to it, or move the object"
+    assert replace(without, coverage=0.011).sentence.endswith(advice)
 
 
 def test_the_advice_goes_by_what_the_path_has_not_shown(scene, advice):

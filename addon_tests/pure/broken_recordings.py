@@ -202,7 +202,7 @@ RECORD3D = {
     "garbage": (whole(lambda _: GARBAGE), "no whole zip file"),
     "cut short": (whole(lambda content: content[: len(content) // 2]), "no whole zip file"),
     "a broken member": (whole(lambda c: c.replace(b"bvx2", b"XXXX", 1)), "cannot be read"),
-    "another zip": (member("metadata", None), "unpack another app's zip"),
+    "another zip": (member("metadata", None), "if another app made it, unpack the zip"),
     "metadata begins with a byte order mark": (member("metadata", lambda said: b"\xef\xbb\xbf" + said), READ),
     "metadata is no JSON": (member("metadata", GARBAGE), "expected JSON"),
     "metadata is a list": (member("metadata", b"[]"), "expected a JSON object"),

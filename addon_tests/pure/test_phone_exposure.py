@@ -49,7 +49,7 @@ def test_an_exposure_that_is_no_positive_number_is_refused(wrong):
 
 
 def test_time_must_go_on():
-    with pytest.raises(ValueError, match="expected time to go on"):
+    with pytest.raises(ValueError, match="expected times that never decrease"):
         follow_exposure([1, 0], [1, 1], reference=1.0, settings=AUTO)
     with pytest.raises(ValueError, match="as many times as meterings"):
         follow_exposure([1, 0], [1], reference=1.0, settings=AUTO)

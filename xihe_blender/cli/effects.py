@@ -22,7 +22,8 @@ COST_HEADER = f"{'effect':<20}  {'cost':<12}  {'light':<16}  picture"
 COST_LEGEND = """
 The column "cost" is the render time that the effect adds. The columns "light" and "picture" are how much the mean
 radiance of the light probe and of the phone's picture changes when the effect is left out. Each figure has its
-standard error after it: a figure within two standard errors of zero may be chance. A dash: not measured, or black."""
+standard error after it: a figure within two standard errors of zero may be chance. A dash stands for what was
+not measured, or is black."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -76,12 +76,14 @@ class ObjectAdvice:
         if self.from_behind < MOST_FROM_BEHIND:
             return self._advised
         share = f"{format_percent(self.from_behind)} of the surfaces seen around the object turn their back to it"
-        return f"{self._advised}. Check the places: {share}, so camera or object seems to be inside or behind something"
+        seems = "so the camera or the object seems to be inside or behind something"
+        return f"{self._advised}. Check the places: {share}, {seems}"
 
     @property
     def _advised(self) -> str:
         if self.look is None:
-            instead = ". Lead the path around or closer, or choose another place" if self.coverage < 0.5 else ""
+            closer = ". Lead the path around the object or closer to it, or move the object"
+            instead = closer if self.coverage < 0.5 else ""
             seen = f"it shows {format_percent(self.coverage)} of all directions"
             return f"no look away from this path would add much: {seen}{instead}"
         look = self.look
@@ -94,7 +96,8 @@ class ObjectAdvice:
         if self.expected_error is not None and self.predicted_error is not None:
             now, then = f"{self.expected_error:.3f}", f"{self.predicted_error:.3f}"
             if self.predicted_error < self.expected_error and now != then:
-                return said + f", and the expected error falls from {now} to {then} if they show what is guessed"
+                falls = f"the expected error falls from {now} to {then}"
+                return f"{said}, and {falls} if the new ones have the light that was guessed"
             said += f", but the estimator expects no smaller error than {now}"
         return said
 

@@ -222,8 +222,8 @@ def blur_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
     blur = scene.cycles.blur_glossy
     if 0 < blur < LEAST_BLUR:
         said = (
-            f"Filter Glossy is {blur:.2g}: beside mirrors and glass the reference light of hdr can be wrong by a fifth "
-            f"or more. Set it to 0, or to {LEAST_BLUR} or more (Render > Light Paths > Caustics)."
+            f"Filter Glossy is {blur:.2g}: beside mirrors and glass the reference light for all of the light (hdr) can "
+            f"be wrong by a fifth or more. Set it to 0, or to {LEAST_BLUR} or more (Render > Light Paths > Caustics)."
         )
         yield Fault(name=scene.name, n=1, said=said)
 

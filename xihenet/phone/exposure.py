@@ -81,7 +81,7 @@ def follow_exposure(
     if not all(math.isfinite(e) and e > 0 for e in (*metered, reference)):
         raise ValueError(f"follow_exposure: expected positive exposures, got {list(metered)!r:.80} and {reference}")
     if not (np.diff(times_s) >= 0).all():
-        raise ValueError(f"follow_exposure: expected time to go on, got {list(times_s)!r:.80} s")
+        raise ValueError(f"follow_exposure: expected times that never decrease, got {list(times_s)!r:.80} s")
     exposures: ArrayF64 = np.array([_clamped(wanted, reference, settings) for wanted in metered], np.float64)
     targets = exposures.tolist()
     for i in range(1, len(targets)):

@@ -60,7 +60,7 @@ def read(path: Path, up: str | None) -> Capture:
     if METADATA not in members:
         raise ValueError(
             f"{path}: {METADATA} is missing, which Record3D stores at the top of its file: "
-            "unpack another app's zip, and give the folder that is in it"
+            "if another app made it, unpack the zip and give the folder in it"
         )
     content = _metadata(archive)
     with named(f"{path}, {METADATA}"):
