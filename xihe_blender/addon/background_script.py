@@ -55,4 +55,12 @@ def main(copy: Path, *packages: str) -> None:
 
 if __name__ == "__main__":
     _copy, *_packages = sys.argv[sys.argv.index("--") + 1 :]
-    main(Path(_copy), *_packages)
+    _code = 0
+    try:
+        main(Path(_copy), *_packages)
+    except Exception:  # noqa: BLE001  # Whatever it is, this Blender ends with it.
+        sys.excepthook(*sys.exc_info())
+        _code = 1
+    from xihe_blender.io.blender_output import leave_blender
+
+    leave_blender(_code)

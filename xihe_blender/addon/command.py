@@ -6,7 +6,7 @@ Nothing is decided here: `xihe_blender.cli.main` does the work, imported when a 
 from __future__ import annotations
 
 import signal
-from typing import Any
+from typing import Any, NoReturn
 
 import bpy
 
@@ -14,21 +14,13 @@ _handles: list[Any] = []
 """What Blender gave for the command, at most one: it is needed to take the command away."""
 
 
-def run_command(arguments: list[str]) -> int:
-    """Run `xihe` with `arguments`; its exit code becomes Blender's."""
-    from xihe_blender.cli.main import main
-    from xihe_blender.io.blender_output import close_stdout
+def run_command(arguments: list[str]) -> NoReturn:
+    """Run `xihe` with `arguments`, and end this Blender with its exit code."""
+    from xihe_blender.cli.main import command
 
     # Blender takes Ctrl-C for itself, as a wish to break off a render; here it means what it means in `xihe`.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        return main(arguments)
-    except SystemExit as end:
-        # Of --help and --version.
-        return end.code if isinstance(end.code, int) else 0
-    finally:
-        # Blender still prints what it has to report, and stdout belongs to the command.
-        close_stdout()
+    command(arguments)
 
 
 def register() -> None:

@@ -191,9 +191,7 @@ def second_blender(arguments: Sequence[str], doing: str) -> Job[None]:
     """
     paths = [str(Path(sys.modules[name].__file__ or "").parents[1]) for name in ("xihe_blender", "xihenet")]
     code = (
-        f"import sys; sys.path[:0] = {paths!r}\n"
-        "from xihe_blender.cli.main import main\n"
-        f"sys.exit(main({list(arguments)!r}))"
+        f"import sys; sys.path[:0] = {paths!r}\nfrom xihe_blender.cli.main import command\ncommand({list(arguments)!r})"
     )
     program = [bpy.app.binary_path, "--background", "--factory-startup", "--python-expr", code]
     # Whatever it leaves in a folder for temporary files goes with that.

@@ -94,10 +94,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code or 0
 
 
-def command() -> NoReturn:
+def command(arguments: Sequence[str] | None = None) -> NoReturn:
     """`main` as a program, which ends with its exit code, after an error of ours as well."""
     try:
-        code = main()
+        code = main(arguments)
+    except SystemExit as end:  # Of --help and --version.
+        code = end.code if isinstance(end.code, int) else 0
     except Exception:  # noqa: BLE001  # Whatever it is, the process ends with it.
         sys.excepthook(*sys.exc_info())
         code = 1
