@@ -91,6 +91,22 @@ def test_a_model_whose_empty_or_armature_alone_is_selected_is_added_and_taken_ba
     assert memberships() == before
 
 
+def test_grease_pencil_that_was_selected_with_a_model_is_said_to_stay_in_the_room(capfd):
+    scene = walk()
+    pencils = getattr(bpy.data, "grease_pencils_v3", bpy.data.grease_pencils)  # Up to Blender 4.5, and since.
+    drawing = add(scene, "Drawing", pencils.new("Drawing"))
+    for names, said in (
+        (["Table", "Drawing"], "1 object is virtual now. Grease Pencil has no surface"),
+        (["Lamp"], ""),
+    ):
+        select(*names)
+        capfd.readouterr()
+        assert bpy.ops.xihe.add_virtual_objects() == {"FINISHED"}
+        out = capfd.readouterr().out
+        assert said in out and ("Grease Pencil" in out) == bool(said)
+    assert drawing not in virtual_objects(scene)
+
+
 def test_an_error_stays_in_the_panel_until_something_succeeds():
     empty_scene()
     state = bpy.context.window_manager.xihe

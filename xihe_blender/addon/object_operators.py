@@ -6,7 +6,7 @@ import bpy
 
 from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
-from xihe_blender.scene.virtual_objects import make_room, make_virtual
+from xihe_blender.scene.virtual_objects import make_room, make_virtual, with_parts
 
 
 class XIHE_OT_add_virtual_objects(Action, bpy.types.Operator):
@@ -18,7 +18,10 @@ class XIHE_OT_add_virtual_objects(Action, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str | None:
         made = make_virtual(context.scene, context.selected_objects)
-        return f"{_format_objects(len(made))} virtual now"
+        # Their types are called GPENCIL up to Blender 4.2, and GREASEPENCIL since.
+        drawn = any(item.type.endswith("PENCIL") for item in with_parts(context.scene, context.selected_objects))
+        left = ". Grease Pencil has no surface to light, and stays in the room" if drawn else ""
+        return f"{_format_objects(len(made))} virtual now{left}"
 
 
 class XIHE_OT_remove_virtual_objects(Action, bpy.types.Operator):
