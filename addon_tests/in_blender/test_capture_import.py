@@ -3,6 +3,7 @@
 import contextlib
 import json
 import re
+import shutil
 import sys
 from dataclasses import asdict, replace
 from functools import partial
@@ -36,6 +37,7 @@ from xihe_blender.footage.import_capture import (
     steadied_frames,
 )
 from xihe_blender.io.json_records import as_json, from_json
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import capture_path
@@ -558,6 +560,19 @@ def test_a_run_is_taken_up_again_and_then_done(recorded_run):
         results = run_blocking(previs(scene, out, PrevisSettings(preset="draft")))
     assert not renders
     assert results == as_json(before)
+
+
+def test_a_damaged_capture_is_read_from_the_recording_again_and_not_rendered(recorded_run, tmp_path):
+    out, recording, _ = recorded_run
+    copied = RunOutputs(shutil.copytree(out, tmp_path / "out"), "walk")
+    copied.results.unlink()
+    whole = copied.capture(3).read_bytes()
+    copied.capture(3).write_bytes(whole[:-100])
+    scene = scene_of(recording, tmp_path / "again")
+    with counted_renders() as renders:
+        run_on(scene, copied.folder)
+    assert "Xihe Capture" not in renders
+    assert copied.capture(3).read_bytes() == whole
 
 
 def test_objects_that_no_frame_sees_are_asked_about_in_every_frame(tmp_path):

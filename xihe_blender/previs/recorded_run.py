@@ -18,12 +18,12 @@ from xihe_blender.capture.render import RenderSettings, working_scene
 from xihe_blender.capture.scanner import phone_camera
 from xihe_blender.errors import UserError
 from xihe_blender.footage.import_capture import capture_of, captured_frames, read_captured, steadied_frames
-from xihe_blender.io.kept_files import kept_json
 from xihe_blender.io.outputs import RunOutputs, write_json, write_picture
 from xihe_blender.io.run_results import RecordingResult
 from xihe_blender.jobs import Job
 from xihe_blender.previs.plan import PrevisPlan, planned_frames
 from xihe_blender.previs.prepare import PreparedRun, prepare_run
+from xihe_blender.previs.run_chain import is_whole
 from xihe_blender.previs.settings import PrevisSettings
 from xihe_blender.previs.survey import SceneSurvey, names_seen
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
@@ -152,7 +152,7 @@ def _keep_captures(run: PreparedRun, recorded: RecordedSession) -> Job[None]:
     Exposure and white balance that drifted unsaid are followed over the whole recording, as `xihe replay` does it.
     """
     numbers = [number for number in run.plan.frames if number in run.needs.captured]
-    missing = [n for n in numbers if kept_json(run.outputs.times(n), lambda said: float(said["render_s"])) is None]
+    missing = [n for n in numbers if not is_whole(run.outputs, run.needs, n)]
     frames = recorded.frames
     if missing and not recorded.capture.is_exposure_known:
         yield run.progress("capture", 0.0, "following exposure and white balance")

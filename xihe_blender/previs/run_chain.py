@@ -105,12 +105,8 @@ def render_path(run: PreparedRun) -> Job[dict[int, float]]:
 def render_captures(run: PreparedRun) -> Job[dict[int, float]]:
     """A job: as `render_path`, the captures alone."""
     work_s: dict[int, float] = {}
-
-    def is_whole(frame: int) -> bool:
-        times = kept_json(run.outputs.times(frame), lambda content: float(content["render_s"]))
-        return times is not None and is_captured(run.outputs, run.needs, frame)
-
-    missing = [frame for frame in run.plan.frames if frame in run.needs.captured and not is_whole(frame)]
+    asked = [frame for frame in run.plan.frames if frame in run.needs.captured]
+    missing = [frame for frame in asked if not is_whole(run.outputs, run.needs, frame)]
     if not missing:
         return work_s
     with open_scanner(run.scene, run.capture) as scanner:
@@ -172,6 +168,12 @@ def _capture(run: PreparedRun, frame: int, scanner: CyclesScanner) -> float:
     write_picture(outputs.picture("captured", frame), captured.srgb_u8)
     write_json(outputs.times(frame), {"render_s": render_s})
     return render_s
+
+
+def is_whole(outputs: RunOutputs, needs: CaptureNeeds, frame: int) -> bool:
+    """Whether a capture and its times can be read."""
+    times = kept_json(outputs.times(frame), lambda content: float(content["render_s"]))
+    return times is not None and is_captured(outputs, needs, frame)
 
 
 def is_captured(outputs: RunOutputs, needs: CaptureNeeds, frame: int) -> bool:
