@@ -437,7 +437,8 @@ class ObjectLight:
         for place_m, light in self.at:
             parts += [place_m, np.frombuffer(light.tobytes(), np.uint8)]
         if self.key is not None:
-            parts += [self.key.direction, self.key.irradiance, np.float64(self.key.angular_radius)]
+            key = self.key
+            parts += [key.direction, key.irradiance, np.array([key.angular_radius, key.is_seen, key.certainty])]
         if self.reflections is not None:
             parts.append(self.reflections.radiance)
         return b"".join(part.tobytes() for part in parts)

@@ -223,6 +223,13 @@ def test_rough_things_have_the_sure_part_of_the_key_light_and_a_picture_with_the
     assert light_of_rough(ObjectLight(FLAT, key)).reflections is None
 
 
+def test_lights_of_which_metal_shows_more_or_less_of_the_sun_are_not_the_same():
+    key = KeyLight(np.array([0, 0, 1.0]), np.ones(3), 0.1, is_seen=False, certainty=0.1)
+    lights = [ObjectLight(FLAT, one) for one in (key, replace(key, certainty=0.2), replace(key, is_seen=True))]
+    assert len({light_of_rough(light).key.irradiance.tobytes() for light in lights}) == 3
+    assert len({light.tobytes() for light in lights}) == 3
+
+
 def test_the_panorama_shows_the_same_light_where_it_comes_from():
     light = random_light(seed=7)
     shown = np.maximum(basis(LATTICE.directions) @ light, 0).astype(np.float32)
