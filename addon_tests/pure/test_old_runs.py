@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from xihe_blender.io.folder_manifest import take_lock
 from xihe_blender.io.old_runs import ABANDONED_S, format_old_runs, old_runs, remove_old_runs, runs_in
 from xihe_blender.io.outputs import RunOutputs
 
@@ -57,6 +58,16 @@ def test_a_run_that_may_be_under_way_is_left_alone_for_a_day(tmp_path):
     assert runs_in(tmp_path) == []
     then = time.time() - 2 * ABANDONED_S
     os.utime(folder / "work", (then, then))
+    assert runs_in(tmp_path) == [folder]
+
+
+def test_a_run_that_another_blender_holds_is_left_alone_however_old_it_is(tmp_path):
+    folder = make_run(tmp_path, FIRST, has_ended=False)
+    with RunOutputs(folder).lock.open("ab") as lock:
+        assert take_lock(lock)
+        then = time.time() - 2 * ABANDONED_S
+        os.utime(folder / "work", (then, then))
+        assert runs_in(tmp_path) == remove_old_runs(tmp_path, []) == []
     assert runs_in(tmp_path) == [folder]
 
 

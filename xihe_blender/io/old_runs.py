@@ -2,7 +2,7 @@
 
 Each run from the panel is a folder of its own, named by file and time, in one that the user may share with other
 things. So a run is known by its name and by what only a run writes, and nothing else is ever touched. One that has not
-ended may be under way in another Blender: it counts as a run once it has lain untouched for a day.
+ended may be under way in another Blender: it counts as a run once it has lain untouched for a day and nobody is at it.
 
 Nothing here needs NumPy: the preferences ask at every redraw. The size of a run is measured once.
 """
@@ -16,6 +16,7 @@ import time
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
+from xihe_blender.io.folder_manifest import is_locked
 from xihe_blender.io.outputs import RunOutputs
 from xihenet.formats import format_bytes, format_count
 
@@ -54,7 +55,8 @@ def format_old_runs(runs: Sequence[Path]) -> str:
 def _is_run(path: Path) -> bool:
     if path.is_symlink() or not (NAME.fullmatch(path.name) and RunOutputs(path).settings.is_file()):
         return False
-    return RunOutputs(path).results.is_file() or time.time() - (path / "work").stat().st_mtime > ABANDONED_S
+    lies_s = time.time() - (path / "work").stat().st_mtime
+    return RunOutputs(path).results.is_file() or (lies_s > ABANDONED_S and not is_locked(RunOutputs(path).lock))
 
 
 @functools.lru_cache(maxsize=256)
