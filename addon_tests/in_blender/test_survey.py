@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from previs_runs import IPAD, LOOKS_AWAY, SMALL, handler_in, walk
-from tiny_scenes import add, key, light_strength, phone, room_with_a_virtual_sphere
+from tiny_scenes import add, add_lamp, key, light_strength, node_of, phone, room_with_a_virtual_sphere
 
 from xihe_blender.capture.scanner import metered_frames
 from xihe_blender.errors import UserError
@@ -101,6 +101,34 @@ def test_a_survey_comes_back_from_its_file_to_the_last_bit():
     assert json.dumps(as_json(read)) == text
     assert read.frames[1].state == survey.frames[1].state and read.required == survey.required
     np.testing.assert_array_equal(read.frames[1].motion.turn_rad_per_s, survey.frames[1].motion.turn_rad_per_s)
+
+
+def with_a_film(lamp):
+    lamp.use_nodes = True
+    film = lamp.node_tree.nodes.new("ShaderNodeTexImage")
+    film.image = bpy.data.images.new("Television", 4, 4)
+    film.image.source = "SEQUENCE"
+    lamp.node_tree.links.new(film.outputs["Color"], node_of(lamp, "EMISSION").inputs["Color"])
+
+
+CHANGING_LAMPS = {
+    "power": lambda lamp: key(lamp, "energy", {1: 10.0, 3: 20.0}),
+    "spread": lambda lamp: key(lamp, "spread", {1: 1.0, 3: 2.0}),
+    "exposure": lambda lamp: key(lamp, "exposure", {1: 0.0, 3: 1.0}),
+    "temperature": lambda lamp: key(lamp, "temperature", {1: 3000.0, 3: 6500.0}),
+    "film": with_a_film,
+}
+
+
+@pytest.mark.parametrize("changes", CHANGING_LAMPS)
+def test_a_lamp_whose_light_changes_is_noticed(changes):
+    if changes in ("exposure", "temperature") and bpy.app.version < (4, 5):
+        pytest.skip("lamps have neither")
+    scene = room_with_a_virtual_sphere()
+    lamp = add_lamp(scene, "AREA", (0, 0, 2.5), "Panel").data
+    assert not surveyed(scene).light_changes
+    CHANGING_LAMPS[changes](lamp)
+    assert surveyed(scene).light_changes
 
 
 def test_what_another_camera_is_beside_the_path_does_not_matter():

@@ -46,7 +46,12 @@ from xihenet.effects import Requirement
 from xihenet.phone import CameraMotion, motion_between
 from xihenet.records import ArrayF64, Intrinsics
 
-LAMP_SHAPE = ("shadow_soft_size", "size", "size_y", "angle", "spot_size", "spot_blend")
+LAMP_VALUES = (
+    *("shadow_soft_size", "size", "size_y", "spread", "angle", "spot_size", "spot_blend"),
+    *("exposure", "use_temperature", "temperature"),
+)
+"""What decides a lamp's light beside power and colour: its shape, and its brightness and colour in Blender 4.5."""
+
 LONGEST_LOOK_S = 5.0
 """Of `may_see_a_position`, for which who pressed Run waits."""
 
@@ -256,9 +261,9 @@ class RoomSurvey:
         if item.type == "LIGHT":
             if not shader_nodes.light_emits(item.data):
                 return set()
-            self.is_driven |= item.data.node_tree is not None and is_animated(item.data.node_tree.original)
-            shape = (float(getattr(item.data, name, 0.0)) for name in LAMP_SHAPE)
-            return {(item.name, place, item.data.energy, tuple(item.data.color), *shape)}
+            self.is_driven |= item.data.node_tree is not None and _may_change(item.data.node_tree.original)
+            others = (float(getattr(item.data, name, 0.0)) for name in LAMP_VALUES)
+            return {(item.name, place, item.data.energy, tuple(item.data.color), *others)}
         glowing = set()
         slots = item.material_slots if item.type in GEOMETRY_TYPES else ()
         for material in (slot.material for slot in slots if slot.material is not None):
@@ -275,7 +280,7 @@ def _roughness_and_glow(material: bpy.types.Material) -> tuple[float | None, boo
 
 
 def _may_change(block: bpy.types.ID) -> bool:
-    return is_animated(block) or shows_a_film(block.node_tree)
+    return is_animated(block) or shows_a_film(block if isinstance(block, bpy.types.NodeTree) else block.node_tree)
 
 
 class MovementSurvey:
