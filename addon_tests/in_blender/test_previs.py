@@ -302,6 +302,17 @@ def test_damaged_pieces_of_frames_cost_those_pieces_alone(finished, copied):
     assert renders == {"Xihe Capture": 1, "Xihe Ground Truth": 1, "Xihe Lit": 2}
 
 
+def test_panoramas_of_the_reference_light_that_are_gone_or_damaged_are_made_again(finished, copied):
+    copied.results.unlink()
+    rendered, taken_over = copied.probe(0, "Ball", 1), copied.probe(0, "Ball", 2)
+    cut_short(rendered)
+    taken_over.unlink()
+    again, renders = run_again(copied)
+    assert without_times(again) == without_times(finished.results)
+    assert renders == {"Xihe Reference Probe": finished.renders.count("Xihe Reference Probe") / 5}
+    assert np.array_equal(read_radiance(rendered), read_radiance(taken_over))
+
+
 def test_a_comparison_is_made_again_where_its_radiance_is_gone_or_of_before_it_had_the_share_of_objects(copied):
     assert kept_comparison(copied, 1) == kept_record(ComparedFrame, copied.compared(1)) is not None
     copied.radiance(OBJECTS, 1).unlink()

@@ -217,10 +217,11 @@ def _is_measured(run: PreparedRun, frame: int, probe: Probe) -> bool:
     """Whether each piece of a reference light can be read."""
     if kept_record(MeasuredLight, _reference(run, probe, frame)) is None:
         return False
-    if not run.settings.has_reflections or run.reuse.probes[frame, probe.name] != frame:
-        return True
-    mirror_ball = run.outputs.mirror_ball(run.plan.probes.index(probe), probe.name, frame)
-    return read_kept(mirror_ball, read_radiance) is not None
+    index, is_rendered = run.plan.probes.index(probe), run.reuse.probes[frame, probe.name] == frame
+    pieces = [run.outputs.probe(index, probe.name, frame)]
+    if run.settings.has_reflections and is_rendered:
+        pieces.append(run.outputs.mirror_ball(index, probe.name, frame))
+    return all(read_kept(path, read_radiance) is not None for path in pieces)
 
 
 def _reference(run: PreparedRun, probe: Probe, frame: int) -> Path:
