@@ -15,11 +15,13 @@ from addon_tests.pure.recordings import (
     PACKED,
     SMALL,
     TUM,
+    VIDEO,
     as_nerfstudio,
     as_plain,
     as_plain_files,
     as_polycam,
     as_record3d,
+    as_stray_of_one_camera,
     as_tum,
     doubted,
     layouts,
@@ -274,6 +276,18 @@ def test_a_pose_between_two_is_as_near_to_either_whatever_the_lengths_of_their_q
     (tmp_path / "groundtruth.txt").write_text(around)
     across = open_capture(tmp_path).frames[0].camera.world_from_camera[:3, 0]
     np.testing.assert_allclose(across, [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-6)
+
+
+@VIDEO
+def test_the_oldest_recordings_of_stray_scanner_have_a_line_for_each_picture_and_no_times(tmp_path):
+    frames = walk(SMALL, 3)
+    path = as_stray_of_one_camera(tmp_path, frames) / "odometry.csv"
+    path.write_text("\n".join(line.split(", ", 2)[2] for line in path.read_text().splitlines()))
+    capture = open_capture(tmp_path)
+    assert [frame.number for frame in capture.frames] == [0, 1, 2]
+    np.testing.assert_allclose([frame.time_s for frame in capture.frames], np.arange(3) / 60)
+    np.testing.assert_allclose(capture.frames[2].read().world_from_camera, frames[2].world_from_camera, atol=1e-5)
+    assert "Times are not known: 60 frames a second are assumed." in capture.notes
 
 
 def test_places_that_nerfstudio_scaled_are_metres_again(tmp_path):

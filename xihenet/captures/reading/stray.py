@@ -2,7 +2,8 @@
 
 Poses are camera to world, the camera looks along +Z with +Y down; the world is ARKit's, +Y up. Depth is 16-bit, in
 millimetres, in older recordings as .npy. The number in odometry.csv is that of the picture in the video and of the
-files. Intrinsics are for the video's size: those of camera_matrix.csv, or, in newer recordings, of each line.
+files; the oldest recordings have neither numbers nor times, and a line for each picture. Intrinsics are for the video's
+size: those of camera_matrix.csv, or, in newer recordings, of each line.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
 VIDEO, ODOMETRY, MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
 COLUMNS = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+OLDEST = COLUMNS[2:]
 INTRINSICS = ("fx", "fy", "cx", "cy")
+FPS = 60.0  # Of the app, unless it is told otherwise
 METRES_PER_UNIT = 1e-3
 MOST_FRAMES = 10_000_000
 
@@ -45,7 +48,7 @@ def is_in(folder: Path) -> bool:
 def read(folder: Path, up: str | None) -> Capture:
     """As of `xihenet.captures.open_capture`; ImportError without PyAV."""
     up = up or "y"
-    rows = _odometry(folder / ODOMETRY)
+    rows, notes = _odometry(folder / ODOMETRY)
     of_all = None if len(rows[0]) > len(COLUMNS) else _matrix(folder / MATRIX)
     video = Video(folder / VIDEO)
     frames = []
@@ -63,7 +66,7 @@ def read(folder: Path, up: str | None) -> Capture:
         frames.append(CapturedFrame(number, float(row[0] - rows[0][0]), camera, load))
     if not frames:
         raise ValueError(f"{folder}: no line of {ODOMETRY} has depth and a picture of {VIDEO}: record with depth")
-    notes = notes_on_times([frame.time_s for frame in frames])
+    notes += notes_on_times([frame.time_s for frame in frames])
     last = int(rows[-1][1])
     if video.n_frames <= last:
         notes += (f"The video ends early, after {format_count(video.n_frames, 'frame')} of {last + 1}.",)
@@ -75,11 +78,15 @@ def read(folder: Path, up: str | None) -> Capture:
     return Capture("Stray Scanner", frames, BLENDER_FROM_UP[up], notes, is_opencv=True)
 
 
-def _odometry(path: Path) -> list[ArrayF64]:
-    """Per frame, by rising number, what COLUMNS and, in newer files, INTRINSICS name."""
+def _odometry(path: Path) -> tuple[list[ArrayF64], tuple[str, ...]]:
+    """Per frame, by rising number, what COLUMNS and, in newer files, INTRINSICS name; and what is assumed."""
     found = _lines(path)
     names = [name.strip() for name in found[0]] if found else []
     first = 1
+    notes: tuple[str, ...] = ()
+    if tuple(names) == OLDEST:
+        found = [list(COLUMNS), *([str(i / FPS), str(i), *line] for i, line in enumerate(found[1:]))]
+        names, notes = found[0], (f"Times are not known: {FPS:g} frames a second are assumed.",)
     if names[: len(COLUMNS)] == list(COLUMNS):
         found, first = found[1:], 2
     has_intrinsics = set(INTRINSICS) <= set(names)
@@ -98,7 +105,7 @@ def _odometry(path: Path) -> list[ArrayF64]:
         raise ValueError(f"{path}: expected a line for each frame, with {', '.join(COLUMNS)}")
     if len({row[1] for row in rows}) < len(rows):
         raise ValueError(f"{path}: expected each frame once, and some come twice")
-    return sorted(rows, key=lambda row: float(row[1]))
+    return sorted(rows, key=lambda row: float(row[1])), notes
 
 
 def _matrix(path: Path) -> ArrayF64:
