@@ -290,6 +290,17 @@ def test_the_oldest_recordings_of_stray_scanner_have_a_line_for_each_picture_and
     assert "Times are not known: 60 frames a second are assumed." in capture.notes
 
 
+def test_frames_of_nerfstudio_follow_each_other_by_the_names_of_their_pictures(tmp_path):
+    frames = walk(SMALL, 11)
+    path = as_nerfstudio(tmp_path, frames) / "transforms.json"
+    said = json.loads(path.read_text())
+    path.write_text(json.dumps(said | {"frames": said["frames"][1::2] + said["frames"][::2]}))  # As COLMAP matched them
+    capture = open_capture(tmp_path)
+    assert [frame.number for frame in capture.frames] == list(range(1, 12))
+    for one, made in zip(capture.frames, frames, strict=True):
+        np.testing.assert_allclose(one.camera.world_from_camera, made.world_from_camera)
+
+
 def test_places_that_nerfstudio_scaled_are_metres_again(tmp_path):
     path = as_nerfstudio(tmp_path, walk(LAYOUTS["Nerfstudio"][1], 2)) / "transforms.json"
     said, places = json.loads(path.read_text()), []

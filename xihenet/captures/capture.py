@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -92,6 +93,11 @@ class Capture:
 
         frames = [replace(frame, load=partial(load, index)) for index, frame in enumerate(self.frames)]
         return replace(self, frames=frames)
+
+
+def by_numbers(name: str) -> list[str]:
+    """By which names are sorted, numbers in them by their value: 2 comes before 10."""
+    return [part.zfill(20) for part in re.split(r"(\d+)", name)]
 
 
 def inside(folder: Path, name: str) -> Path:

@@ -1,8 +1,9 @@
 """Recordings as Nerfstudio has them: transforms.json beside pictures and depth.
 
 Camera to world, the camera looks along -Z with +Y up, the world has +Z up; depth is 16-bit, in millimetres. Polycam and
-other apps export this form. There are no times: frames are taken to follow each other FPS times a second. Places were
-multiplied by `applied_scale`, if there is one, and depth was not.
+other apps export this form. There are no times: frames are taken to follow each other FPS times a second, by the names
+of their pictures, as Nerfstudio sorts them; COLMAP's converters list them as they were matched. Places were multiplied
+by `applied_scale`, if there is one, and depth was not.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from xihenet.captures.capture import Capture, inside
+from xihenet.captures.capture import Capture, by_numbers, inside
 from xihenet.captures.reading.phone_frame import left_out, picture_frame
 from xihenet.io.frame_files import BLENDER_FROM_UP, frame_camera
 from xihenet.io.json_files import named, number_in, read_json, side_in
@@ -40,8 +41,9 @@ def read(folder: Path, up: str | None) -> Capture:
     if not 1e-6 < applied_scale < 1e6:
         raise ValueError(f"{path}: applied_scale: expected a positive number, got {applied_scale:g}")
     frames = []
-    for number, entry in enumerate(entries, start=1):
-        with named(f"{path}, frame {number}"):
+    in_order = sorted(enumerate(entries, start=1), key=lambda one: by_numbers(str(one[1].get("file_path"))))
+    for number, (place, entry) in enumerate(in_order, start=1):
+        with named(f"{path}, frame {place}"):
             colour, plane_depth = _files(folder, entry)
             if plane_depth is None:
                 continue

@@ -13,14 +13,13 @@ A pose with a number that is not finite is of a moment at which tracking was los
 
 from __future__ import annotations
 
-import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture
+from xihenet.captures.capture import Capture, by_numbers
 from xihenet.captures.reading.phone_frame import left_out, picture_frame, without_confidence
 from xihenet.captures.reading.values import FARTHEST_M, notes_on_times, numbers, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, CAMERA_KEYS, camera_facts, frame_camera
@@ -87,9 +86,9 @@ def _by_name(paths: Iterable[Path]) -> dict[str, Path]:
 
 
 def _images(folder: Path) -> list[Path]:
-    """By name, and numbers in names by their value: 2 comes before 10. What macOS puts beside files has a dot."""
+    """By name. What macOS puts beside files has a dot."""
     found = (path for path in folder.glob("[!.]*") if path.suffix.lower() in SUFFIXES and path.is_file())
-    return sorted(found, key=lambda path: [part.zfill(20) for part in re.split(r"(\d+)", path.name)])
+    return sorted(found, key=lambda path: by_numbers(path.name))
 
 
 def _poses(folder: Path, colours: Sequence[Path]) -> tuple[list[ArrayF64 | None], ArrayF64 | None]:
