@@ -470,6 +470,8 @@ NERFSTUDIO = {
     "a list": (put(TRANSFORMS, "[]"), "expected frames"),
     "a scale of 0": (with_entries(TRANSFORMS, applied_scale=0), "applied_scale: expected a positive number"),
     "a fish-eye": (with_entries(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
+    "a fish-eye of instant-ngp": (with_entries(TRANSFORMS, is_fisheye=True), "a fish-eye is no pinhole camera"),
+    "no fish-eye": (with_entries(TRANSFORMS, is_fisheye=False), NOTE + "Times are not known"),
     "a panorama": (with_entries(TRANSFORMS, camera_model="EQUIRECTANGULAR"), "undistort the pictures"),
     "a camera of OpenCV": (with_entries(TRANSFORMS, camera_model="OPENCV"), NOTE + "Times are not known"),
     "a focal length that is text": (with_entries(TRANSFORMS, fl_x="40"), "fl_x: expected a number"),

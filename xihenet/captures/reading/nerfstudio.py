@@ -76,8 +76,9 @@ def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
 def _intrinsics(values: dict[str, Any]) -> Intrinsics:
     """Of a frame: its own come before those of all. ValueError for a camera that is no pinhole."""
     model = values.get("camera_model", MODELS[0])
-    if str(model).upper() not in MODELS:
-        raise ValueError(f"camera_model: {model!r:.80} is no pinhole camera: undistort the pictures first")
+    if str(model).upper() not in MODELS or values.get("is_fisheye"):
+        said = "is_fisheye: a fish-eye" if values.get("is_fisheye") else f"camera_model: {model!r:.80}"
+        raise ValueError(f"{said} is no pinhole camera: undistort the pictures first")
     fx = number_in(values, "fl_x")
     fy, cx, cy = number_in(values, "fl_y", fx), number_in(values, "cx"), number_in(values, "cy")
     return Intrinsics(side_in(values, "w"), side_in(values, "h"), fx, fy, cx, cy)
