@@ -469,6 +469,7 @@ NERFSTUDIO = {
     "garbage": (put(TRANSFORMS, GARBAGE), "expected JSON"),
     "a list": (put(TRANSFORMS, "[]"), "expected frames"),
     "a scale of 0": (with_entries(TRANSFORMS, applied_scale=0), "applied_scale: expected a positive number"),
+    "units of 0": (with_entries(TRANSFORMS, integer_depth_scale=0), "expected metres of a unit of depth, such as"),
     "a fish-eye": (with_entries(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
     "a fish-eye of instant-ngp": (with_entries(TRANSFORMS, is_fisheye=True), "a fish-eye is no pinhole camera"),
     "no fish-eye": (with_entries(TRANSFORMS, is_fisheye=False), NOTE + "Times are not known"),

@@ -290,6 +290,14 @@ def test_the_oldest_recordings_of_stray_scanner_have_a_line_for_each_picture_and
     assert "Times are not known: 60 frames a second are assumed." in capture.notes
 
 
+@pytest.mark.parametrize("unit", ["depth_unit_scale_factor", "integer_depth_scale"])
+def test_depth_of_nerfstudio_is_in_the_unit_that_the_file_says(tmp_path, unit):
+    frames = walk(SMALL, 2)
+    path = as_nerfstudio(tmp_path, frames) / "transforms.json"
+    path.write_text(path.read_text().replace("depth_file_path", "depth_path").replace("{", f'{{"{unit}": 0.002, ', 1))
+    np.testing.assert_allclose(open_capture(tmp_path).frames[0].read().plane_depth_m, 2 * frames[0].plane_depth_m, 0.01)
+
+
 def test_frames_of_nerfstudio_follow_each_other_by_the_names_of_their_pictures(tmp_path):
     frames = walk(SMALL, 11)
     path = as_nerfstudio(tmp_path, frames) / "transforms.json"

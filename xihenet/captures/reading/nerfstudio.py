@@ -1,7 +1,7 @@
 """Recordings as Nerfstudio has them: transforms.json beside pictures and depth.
 
-Camera to world, the camera looks along -Z with +Y up, the world has +Z up; depth is 16-bit, in millimetres. Polycam and
-other apps export this form. There are no times: frames are taken to follow each other FPS times a second, by the names
+Camera to world, the camera looks along -Z with +Y up, the world has +Z up; depth is 16-bit, in millimetres, or in what
+the file says. Polycam and other apps export this form; instant-ngp and NeRFCapture have other names for depth. There are no times: frames are taken to follow each other FPS times a second, by the names
 of their pictures, as Nerfstudio sorts them; COLMAP's converters list them as they were matched. Places were multiplied
 by `applied_scale`, if there is one, and depth was not.
 """
@@ -22,6 +22,8 @@ FPS = 30.0
 MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL")
 """Of cameras that see straight lines as such, but for a distortion that is small; not a fish-eye's, nor a panorama."""
 
+DEPTH = ("depth_file_path", "depth_path")
+METRES_PER_UNIT = ("depth_unit_scale_factor", "integer_depth_scale")
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
@@ -40,6 +42,10 @@ def read(folder: Path, up: str | None) -> Capture:
     applied_scale = number_in(content, "applied_scale", 1.0)
     if not 1e-6 < applied_scale < 1e6:
         raise ValueError(f"{path}: applied_scale: expected a positive number, got {applied_scale:g}")
+    unit = next((name for name in METRES_PER_UNIT if name in content), METRES_PER_UNIT[0])
+    metres_per_unit = number_in(content, unit, 1e-3)
+    if not 1e-9 < metres_per_unit < 1e3:
+        raise ValueError(f"{path}: {unit}: expected metres of a unit of depth, such as 0.001, got {metres_per_unit:g}")
     frames = []
     in_order = sorted(enumerate(entries, start=1), key=lambda one: by_numbers(str(one[1].get("file_path"))))
     for number, (place, entry) in enumerate(in_order, start=1):
@@ -49,7 +55,7 @@ def read(folder: Path, up: str | None) -> Capture:
                 continue
             camera = frame_camera(_intrinsics({**content, **entry}), entry.get("transform_matrix"), up=up)
             camera.world_from_camera[:3, 3] /= applied_scale
-        frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, 1e-3))
+        frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, metres_per_unit))
     if not frames:
         raise ValueError(
             f"{path}: no frame has both a file_path and a depth_file_path that are there: "
@@ -64,7 +70,7 @@ def read(folder: Path, up: str | None) -> Capture:
 
 def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
     """Colour and depth; None for depth where one of the two is missing."""
-    named = entry.get("file_path"), entry.get("depth_file_path")
+    named = entry.get("file_path"), next((entry[name] for name in DEPTH if name in entry), None)
     if not isinstance(named[0], str):
         raise ValueError("file_path is missing")
     colour = inside(folder, named[0])
