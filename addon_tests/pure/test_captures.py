@@ -290,6 +290,11 @@ def test_the_oldest_recordings_of_stray_scanner_have_a_line_for_each_picture_and
     assert "Times are not known: 60 frames a second are assumed." in capture.notes
 
 
+def test_of_nerfstudio_it_is_said_that_z_is_taken_to_be_up_unless_up_is_given(tmp_path):
+    as_nerfstudio(tmp_path, walk(SMALL, 1))
+    assert [any("give --up y" in note for note in open_capture(tmp_path, up).notes) for up in (None, "y")] == [1, 0]
+
+
 @pytest.mark.parametrize("unit", ["depth_unit_scale_factor", "integer_depth_scale"])
 def test_depth_of_nerfstudio_is_in_the_unit_that_the_file_says(tmp_path, unit):
     frames = walk(SMALL, 2)

@@ -1,9 +1,10 @@
 """Recordings as Nerfstudio has them: transforms.json beside pictures and depth.
 
 Camera to world, the camera looks along -Z with +Y up, the world has +Z up; depth is 16-bit, in millimetres, or in what
-the file says. Polycam and other apps export this form; instant-ngp and NeRFCapture have other names for depth. There are no times: frames are taken to follow each other FPS times a second, by the names
-of their pictures, as Nerfstudio sorts them; COLMAP's converters list them as they were matched. Places were multiplied
-by `applied_scale`, if there is one, and depth was not.
+the file says. Polycam and other apps export this form; instant-ngp and NeRFCapture have other names for depth. There
+are no times: frames are taken to follow each other FPS times a second, by the names of their pictures, as Nerfstudio
+sorts them; COLMAP's converters list them as they were matched. Places were multiplied by `applied_scale`, if there is
+one, and depth was not.
 """
 
 from __future__ import annotations
@@ -38,7 +39,6 @@ def read(folder: Path, up: str | None) -> Capture:
     entries = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path}: expected frames, a list with at least one")
-    up = up or "z"
     applied_scale = number_in(content, "applied_scale", 1.0)
     if not 1e-6 < applied_scale < 1e6:
         raise ValueError(f"{path}: applied_scale: expected a positive number, got {applied_scale:g}")
@@ -53,7 +53,7 @@ def read(folder: Path, up: str | None) -> Capture:
             colour, plane_depth = _files(folder, entry)
             if plane_depth is None:
                 continue
-            camera = frame_camera(_intrinsics({**content, **entry}), entry.get("transform_matrix"), up=up)
+            camera = frame_camera(_intrinsics({**content, **entry}), entry.get("transform_matrix"), up=up or "z")
             camera.world_from_camera[:3, 3] /= applied_scale
         frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, metres_per_unit))
     if not frames:
@@ -62,10 +62,12 @@ def read(folder: Path, up: str | None) -> Capture:
             "record with depth, and copy all files"
         )
     notes: tuple[str, ...] = (f"Times are not known: {FPS:g} frames a second are assumed.",)
+    if up is None:
+        notes += ("+Z is taken to be up. In poses straight from ARKit or ARCore +Y is: for those, give --up y.",)
     notes += left_out(len(entries) - len(frames), "colour or depth")
     if any(number_in(of, name, 0.0) != 0 for of in (content, *entries) for name in DISTORTION if name in of):
         notes += ("The lens' distortion is not taken out.",)
-    return Capture("Nerfstudio", frames, BLENDER_FROM_UP[up], notes)
+    return Capture("Nerfstudio", frames, BLENDER_FROM_UP[up or "z"], notes)
 
 
 def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
