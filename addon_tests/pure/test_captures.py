@@ -202,6 +202,14 @@ def test_names_with_accents_are_found_in_either_form(tmp_path, stored, named):
         inside(there.parent, "../é/../../ö.png")
 
 
+def test_names_with_the_separators_of_windows_are_found_where_there_are_others(tmp_path):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "ä.png").touch()
+    assert inside(tmp_path, ".\\images\\ä.png").is_file()
+    with pytest.raises(ValueError, match="lies outside .*: copy the file there"):
+        inside(tmp_path, "..\\images\\ä.png")
+
+
 def test_pictures_with_accents_that_are_copied_later_are_found(tmp_path):
     as_nerfstudio(tmp_path, walk(SMALL, 2))
     said = json.loads((tmp_path / "transforms.json").read_text())

@@ -101,9 +101,12 @@ def by_numbers(name: str) -> list[str]:
 
 
 def inside(folder: Path, name: str) -> Path:
-    """The file of that name below `folder`, accents in either Unicode form; ValueError for one that lies elsewhere,
-    links followed."""
+    """The file of that name below `folder`, accents in either Unicode form, and with the separators of Windows too;
+    ValueError for one that lies elsewhere, links followed."""
     path = folder / name
+    if "\\" in name and not path.exists():
+        name = name.replace("\\", "/")
+        path = folder / name
     if not name.isascii() and not path.exists():
         path = folder
         for part in Path(name).parts:
@@ -112,7 +115,10 @@ def inside(folder: Path, name: str) -> Path:
     if path.name == ".." or lies_at.is_symlink():
         lies_at = lies_at.resolve()
     if not lies_at.is_relative_to(_resolved(str(folder))):
-        raise ValueError(f"{name!r} lies outside {folder}: a recording may name only what is in its folder")
+        raise ValueError(
+            f"{name!r} lies outside {folder}, and a recording may name only what is in its folder: "
+            "copy the file there, and write its place in that folder"
+        )
     return path
 
 
