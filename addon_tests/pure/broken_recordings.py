@@ -227,6 +227,11 @@ RECORD3D = {
     "a quaternion that is huge": (in_metadata("poses", 1, [1e300] * 4 + [0.0] * 3), "a quaternion of length 1"),
     "a place that is huge": (in_metadata("poses", 1, [0, 0, 0, 1, 1e300, 0, 0]), "within 1e+06 m"),
     "no poses": (metadata(poses=[]), "record with LiDAR"),
+    "poses of the face sensor": (
+        metadata(poses=[[0, 0, 0, 1, 0, 0, 0]] * 3, initPose=[0, 0, 0, 1, 0, 0, 0]),
+        NOTE + "No pose turns or moves, as where Record3D has none: record with LiDAR",
+    ),
+    "one camera that stands": (metadata(poses=[[0, 0, 0, 1, 0, 0, 0]] * 3, initPose=[0, 0, 0, 1, 0, 1.5, 0]), READ),
     "poses are not there": (metadata(poses=None), "record with LiDAR"),
     "poses are an object": (metadata(poses={}), "poses: expected a list"),
     "a start of zeros": (metadata(initPose=[0] * 7), "a quaternion of length 1"),

@@ -206,7 +206,7 @@ def test_names_with_the_separators_of_windows_are_found_where_there_are_others(t
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "ä.png").touch()
     assert inside(tmp_path, ".\\images\\ä.png").is_file()
-    with pytest.raises(ValueError, match="lies outside .*: copy the file there"):
+    with pytest.raises(ValueError, match=r"lies outside .*: copy the file there"):
         inside(tmp_path, "..\\images\\ä.png")
 
 
@@ -257,6 +257,14 @@ def test_a_folder_around_a_recording_says_which_one_is_in_it(tmp_path, name):
     with pytest.raises(ValueError, match="holds no recording itself: give ") as said:
         open_capture(path.parent)
     assert str(path) in str(said.value)
+
+
+def test_record3ds_export_of_exr_is_told_to_be_exported_as_r3d(tmp_path):
+    (tmp_path / "depth").mkdir()
+    for name in ("metadata.json", "depth/0.exr"):
+        (tmp_path / name).touch()
+    with pytest.raises(ValueError, match=r"exports as EXR and JPG: export the recording as \.r3d instead"):
+        open_capture(tmp_path)
 
 
 @pytest.mark.parametrize(("write", "part"), [(as_nerfstudio, "transforms.json"), (as_polycam, "keyframes")])

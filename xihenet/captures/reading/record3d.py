@@ -1,11 +1,12 @@
 """Recordings of the app Record3D: one .r3d file, a zip of `metadata` and of rgbd/N.jpg, N.depth and N.conf.
 
-Poses are camera to world as quaternion and place, the camera looks along -Z with +Y up. They begin at the first camera;
-`initPose` is where that one was in ARKit's world, which has +Y up. Without it, and where it turns and moves nothing, as
-the app itself was seen to write it, up is not known: the floor is looked for. K, column by column, and the intrinsics
-of each frame are for the colour's size. Depth is float32 in metres and confidence 0, 1, 2, both packed by LZFSE, row by
-row; depth lies as the colour does, upright or not. Only captures with LiDAR have poses; one with a number that is not
-finite is of a moment at which tracking was lost, as good as none.
+Poses are camera to world as quaternion and place, the camera looks along -Z with +Y up. They begin at the first camera,
+and `initPose` is where that one was in ARKit's world, which has +Y up; or `initPose` turns and moves nothing, and the
+poses are in that world themselves. Where neither turns or moves anything, or without `initPose`, up is not known: the
+floor is looked for. K, column by column, and the intrinsics of each frame are for the colour's size. Depth is float32
+in metres and confidence 0, 1, 2, both packed by LZFSE, row by row; depth lies as the colour does, upright or not. Only
+captures with LiDAR have poses: those of the face sensor neither turn nor move. One with a number that is not finite is
+of a moment at which tracking was lost, as good as none.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from xihenet.io.picture_size import MOST_PIXELS, same_field
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
 METADATA, SUFFIX = "metadata", ".r3d"
+OF_EXPORT, EXPORTED_DEPTH = "metadata.json", "depth/*.exr"
 NAME = re.compile(r"rgbd/(\d{1,9})\.depth")
 MAGIC = b"PK"
 BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, LookupError)
@@ -43,13 +45,19 @@ AT_ORIGIN = 1e-4  # Who begins so near to the origin of the world, along its axe
 
 def is_in(path: Path) -> bool:
     if not path.is_file():
-        return (path / METADATA).is_file() and (path / "rgbd").is_dir()
+        return ((path / METADATA).is_file() and (path / "rgbd").is_dir()) or _is_export(path)
     with path.open("rb") as file:
         return file.read(2) == MAGIC or path.suffix.lower() == SUFFIX
 
 
+def _is_export(folder: Path) -> bool:
+    return (folder / OF_EXPORT).is_file() and any(folder.glob(EXPORTED_DEPTH))
+
+
 def read(path: Path, up: str | None) -> Capture:
     """As of `xihenet.captures.open_capture`; ImportError without the package lzfse, where the floor is looked for."""
+    if _is_export(path):
+        raise ValueError(f"{path} is what Record3D exports as EXR and JPG: export the recording as {SUFFIX} instead")
     if path.is_dir():
         raise ValueError(f"{path} is an unpacked {SUFFIX} file: give that file, or a zip of what is in the folder")
     try:
@@ -82,6 +90,8 @@ def read(path: Path, up: str | None) -> Capture:
         for n in numbers_of
         if n < len(cameras) and (camera := cameras[n]) is not None and f"rgbd/{n}.jpg" in members
     }
+    if len(poses) > 1 and not knows_up and all(pose is None or np.array_equal(pose, np.eye(4)) for pose in poses):
+        notes += ("No pose turns or moves, as where Record3D has none: record with LiDAR, not with the face sensor.",)
     if not there:
         raise ValueError(f"{path}: no frame has colour, depth and a pose: record with LiDAR")
     begin_s = times_s[next(iter(there))]
