@@ -4,8 +4,9 @@
 //     import { replayLight } from "./webxr_replay.js";
 //     replayLight(await (await fetch("webxr.json")).json(), { object: "Vase" });
 //
-// The app asks as ever: session.requestLightProbe(), frame.getLightEstimate(probe). Lights follow each other as in the
-// run, by time from the first estimate on, and begin anew at the end.
+// The app asks as ever, for the feature "light-estimation", session.requestLightProbe() and
+// frame.getLightEstimate(probe). Lights follow each other as in the run, by time from the first estimate on, and begin
+// anew at the end.
 export function replayLight(exported, { object = exported.lights[0].object, loops = true } = {}) {
   const lights = exported.lights.filter((light) => light.object === object);
   if (!lights.length) throw new Error(`webxr.json has no light of ${object}`);
@@ -27,6 +28,19 @@ export function replayLight(exported, { object = exported.lights[0].object, loop
     return estimates[lights.findLastIndex((light) => light.time_s - lights[0].time_s <= time_s)];
   };
   const probe = Object.assign(new EventTarget(), { probeSpace: new EventTarget(), onreflectionchange: null });
+  // Neither grants what it does not know, and apps ask both before and after whether it was granted.
+  const feature = "light-estimation";
+  const requestSession = navigator.xr.requestSession.bind(navigator.xr);
+  navigator.xr.requestSession = (mode, wanted = {}) =>
+    requestSession(mode, { ...wanted, requiredFeatures: wanted.requiredFeatures?.filter((name) => name !== feature) ?? [] });
+  const granted = Object.getOwnPropertyDescriptor(XRSession.prototype, "enabledFeatures");
+  if (granted)
+    Object.defineProperty(XRSession.prototype, "enabledFeatures", {
+      ...granted,
+      get() {
+        return [...granted.get.call(this), feature];
+      },
+    });
   XRSession.prototype.requestLightProbe = () => Promise.resolve(probe);
   XRFrame.prototype.getLightEstimate = (asked) => {
     if (asked !== probe) return null;
