@@ -111,7 +111,7 @@ def test_a_mistake_is_one_line_that_names_the_fix(options, said, capfd):
 def test_without_tornado_the_extra_is_named(monkeypatch):
     for name in [name for name in sys.modules if name.startswith(("tornado", "xihenet.edge.server"))]:
         monkeypatch.delitem(sys.modules, name)
-    for name in ("handler", "requests", "session_routes", "service_routes"):
+    for name in ("handler", "requests", "routes"):
         monkeypatch.delitem(sys.modules, f"xihenet.edge.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "tornado", None)
     assert_refused(xihe_here("serve"), "pip install 'xihe-blender[edge]'")

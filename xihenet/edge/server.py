@@ -1,8 +1,7 @@
-"""The HTTP server, on Tornado: the published client's routes, and ours.
+"""The HTTP server, on Tornado: it listens, and serves until it is told to stop.
 
-Sessions of our own clients are at `/api/v3/sessions`, see `openapi`. Tornado was chosen over asyncio alone for its HTTP
-parser and TLS, and over the ASGI frameworks since Dask brings it anyway. `requests` is what it hands over, `handler`
-what becomes of that.
+Tornado was chosen over asyncio alone for its HTTP parser and TLS, and over the ASGI frameworks since Dask brings it
+anyway. `requests` is what it hands over, `routes` who answers, and `handler` what all of them share.
 """
 
 from __future__ import annotations
@@ -15,42 +14,20 @@ import signal
 import socket
 import ssl
 import sys
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 
-from xihenet.edge import protocol
 from xihenet.edge.batching import Inference
-from xihenet.edge.handler import Handler, Site, log_event
+from xihenet.edge.handler import Site, log_event
 from xihenet.edge.http_settings import ServerSettings
 from xihenet.edge.requests import Server
+from xihenet.edge.routes import ROUTES
 from xihenet.edge.service import EdgeService
-from xihenet.edge.service_routes import HealthRoute, MetricsRoute, OpenApiRoute, PageRoute
-from xihenet.edge.session_routes import (
-    ClientsRoute,
-    PositionRoute,
-    PublishedEstimationRoute,
-    PublishedSessionRoute,
-    SessionRoute,
-    SessionsRoute,
-)
 from xihenet.edge.sessions import MemoryStore, SessionStore
 
 EXPIRES_EVERY_S = 5.0
 
 SWITCH_S = 0.0005
 """After so long another thread lets the event loop have the interpreter. Python's 5 ms would pass at each `send`."""
-
-ROUTES: Mapping[str, type[Handler]] = {
-    protocol.PUBLISHED_SESSION: PublishedSessionRoute,
-    protocol.PUBLISHED_ESTIMATION: PublishedEstimationRoute,
-    protocol.SESSIONS: SessionsRoute,
-    protocol.SESSIONS + "/([^/]+)": SessionRoute,
-    protocol.SESSIONS + "/([^/]+)/clients": ClientsRoute,
-    protocol.SESSIONS + "/([^/]+)/positions/([^/]+)": PositionRoute,
-    "/health": HealthRoute,
-    "/metrics": MetricsRoute,
-    "/openapi.json": OpenApiRoute,
-    "/": PageRoute,
-}
 
 
 @contextlib.asynccontextmanager

@@ -1,20 +1,27 @@
-"""Routes of sessions: the published client's, exactly as it calls them, with the session's id as the only secret, and
-those of our own clients, with tokens, several clients and positions, and clouds in the clean form.
+"""Routes: which paths there are, and what answers each.
+
+Those of sessions are the published client's, exactly as it calls them, with the session's id as the only secret, and
+those of our own clients, with tokens, several clients and positions, and clouds in the clean form. The others are about
+the service itself.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from importlib import resources
 from typing import Any
 
+from xihenet import __version__
 from xihenet.completeness import coverage
 from xihenet.edge import protocol
 from xihenet.edge.axes import OUR_AXES, PUBLISHED_AXES, checked_axes
 from xihenet.edge.extras import Wishes
-from xihenet.edge.handler import Handler, as_sent, begin_of
+from xihenet.edge.handler import Handler, as_sent, begin_of, log_lost
+from xihenet.edge.openapi import openapi_document
 from xihenet.edge.service import EdgeService, Refused
-from xihenet.edge.sessions import Session, SessionFull, joined, new_session, new_token
+from xihenet.edge.sessions import Session, SessionFull, StoreLost, joined, new_session, new_token
 
 SWITCHES = {"no": False, "yes": True}
 
@@ -206,3 +213,61 @@ def _described(service: EdgeService, session: Session) -> dict[str, Any]:
             for name, seen in positions.items()
         },
     }
+
+
+class HealthRoute(Handler):
+    """GET: that the service is there; 503 while its store does not answer."""
+
+    needs_bearer = False
+
+    def get(self) -> None:
+        store, estimator = self.service.store, self.service.inference.name
+        told = {"ok": True, "software": f"xihe {__version__}", "estimator": estimator, "store": store.name}
+        try:
+            store.check()
+        except StoreLost as error:
+            log_lost(error)
+            self.headers["Retry-After"] = str(self.service.settings.retry_after_s)
+            self.tell(told | protocol.failure(str(error)), 503)
+        else:
+            self.tell(told)
+
+
+class MetricsRoute(Handler):
+    """GET: metrics for Prometheus."""
+
+    def get(self) -> None:
+        text = self.service.metrics.text(self.service.gauges() | self.site.gauges())
+        self.finish(200, text.encode(), "text/plain; version=0.0.4; charset=utf-8")
+
+
+class OpenApiRoute(Handler):
+    """GET: the description of all routes."""
+
+    def get(self) -> None:
+        self.tell(openapi_document(self.service.settings.sizes, has_bearer=bool(self.site.settings.bearer)))
+
+
+class PageRoute(Handler):
+    """GET: a page that shows the protocol in use."""
+
+    needs_bearer = False
+
+    def get(self) -> None:
+        self.headers["Content-Security-Policy"] = "default-src 'self' 'unsafe-inline'; connect-src *"
+        page = resources.files("xihenet.edge").joinpath("client.html").read_bytes()
+        self.finish(200, page, "text/html; charset=utf-8")
+
+
+ROUTES: Mapping[str, type[Handler]] = {
+    protocol.PUBLISHED_SESSION: PublishedSessionRoute,
+    protocol.PUBLISHED_ESTIMATION: PublishedEstimationRoute,
+    protocol.SESSIONS: SessionsRoute,
+    protocol.SESSIONS + "/([^/]+)": SessionRoute,
+    protocol.SESSIONS + "/([^/]+)/clients": ClientsRoute,
+    protocol.SESSIONS + "/([^/]+)/positions/([^/]+)": PositionRoute,
+    "/health": HealthRoute,
+    "/metrics": MetricsRoute,
+    "/openapi.json": OpenApiRoute,
+    "/": PageRoute,
+}
