@@ -1,10 +1,10 @@
 """`EdgeBackend`: an `InferenceBackend` whose light comes from an edge service.
 
 It speaks the clean form with the standard library's HTTP client, over one connection that stays open, and further ones
-where several positions ask in the same frame. Each request
-carries the whole cloud of the position and takes the place of what the server knew of it, so that the light is that of
-this cloud and of no other, a request can be sent again without harm, and a server that has forgotten everything needs
-no more than a new session. Rejected: sending what changed since the last answer, which saves bytes and loses all three.
+where several positions ask in the same frame. Each request carries the whole cloud of the position and takes the place
+of what the server knew of it, so that the light is that of this cloud and of no other, a request can be sent again
+without harm, and a server that has forgotten everything needs no more than a new session. Rejected: sending what
+changed since the last answer, which saves bytes and loses all three.
 
 What goes wrong is tried again, see `connection`. After the last try the estimate has no answer (`NoAnswer`), which
 the chain takes like a light that cannot be known: the light before stays, and the trigger goes on to ask. For a while

@@ -9,8 +9,8 @@ the bytes are none of ours. A session is JSON behind its version, a position pac
     much what they show lies beside their direction (3 x 4)
 
 Colours and distances lose nothing, so that the light is what one process would give: as they come from phones, 16 bits
-hold them, and they are float32 where they were moved or re-exposed. What a cloud's frame
-left out (`invalid`) and surfaces other than facing are not kept: no cloud that arrives has them, and nothing asks.
+hold them, and they are float32 where they were moved or re-exposed. What a cloud's frame left out (`invalid`) and
+surfaces other than facing are not kept: no cloud that arrives has them, and nothing asks.
 """
 
 from __future__ import annotations

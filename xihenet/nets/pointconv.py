@@ -127,9 +127,8 @@ class PointConvBlock(nn.Module):  # type: ignore[misc]
 def farthest_points(points: Tensor, known: Tensor, n: int) -> tuple[Tensor, Tensor]:
     """(B, n) numbers of points (B, N, 3) of which each is the farthest from those before, and whether it is a new one.
 
-    Starts at the known point farthest from the origin,
-    so that the order of the points says nothing. Where the known points are used up, numbers repeat and are marked
-    False.
+    Starts at the known point farthest from the origin, so that the order of the points says nothing. Where the known
+    points are used up, numbers repeat and are marked False.
     """
     with torch.no_grad():
         rows = torch.arange(len(points), device=points.device)

@@ -1,8 +1,8 @@
 """Plane depth as a real range sensor measures it: range, noise, grain, steps and bleeding edges.
 
 Each function takes a plane depth (H, W) in metres and one settings section and returns a new one, or the very array it
-was given where that changes nothing. Pixels without a valid plane depth (0, negative, NaN,
-infinite, a renderer's miss) come out with the same bytes: no effect makes up a surface where there was none.
+was given where that changes nothing. Pixels without a valid plane depth (0, negative, NaN, infinite, a renderer's miss)
+come out with the same bytes: no effect makes up a surface where there was none.
 
 Lengths in pixels belong to the sensor's own width; callers scale them (`pixel_scale`), so that a small preview shows
 the same share of its width. Chosen: noise as a standard deviation that grows with distance, and a grain (the distance

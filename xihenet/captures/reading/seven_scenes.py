@@ -2,8 +2,7 @@
 
 Poses are camera to world, the camera looks along +Z with +Y down. Depth is 16-bit, in millimetres; 65535 is a miss.
 Which way is up is not given: the world is that of the first camera, so that its -Y is about up, and the floor says how
-far it is from that. Depth is not registered to
-colour, since the two cameras are some centimetres apart.
+far it is from that. Depth is not registered to colour, since the two cameras are some centimetres apart.
 """
 
 from __future__ import annotations

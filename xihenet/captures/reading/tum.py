@@ -2,10 +2,10 @@
 
 Colour, depth and poses have times of their own. A colour picture goes with the depth next to it in time, and with the
 pose between those around it; more than AT_MOST_S away there is none. A pose with a number that is not finite, of a
-moment at which tracking was lost, counts for none. Poses are camera to world, the camera looks along
-+Z with +Y down, the world has +Z up. Depth is 16-bit, 5,000 to a metre. Intrinsics are not among the
-benchmark's files: they are those that its own tools take for all of its cameras, unless a camera.json (`width`,
-`height`, `fx`, `fy`, `cx`, `cy`) lies beside them, as we write one for another camera.
+moment at which tracking was lost, counts for none. Poses are camera to world, the camera looks along +Z with +Y down,
+the world has +Z up. Depth is 16-bit, 5,000 to a metre. Intrinsics are not among the benchmark's files: they are those
+that its own tools take for all of its cameras, unless a camera.json (`width`, `height`, `fx`, `fy`, `cx`, `cy`) lies
+beside them, as we write one for another camera.
 """
 
 from __future__ import annotations
