@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from xihenet.camera import sees_through
 from xihenet.colour import CLIPPED_FROM
 from xihenet.records import FAR_FROM_M, AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, RgbdFrame, UnitSphereCloud
-from xihenet.sampling import sample_again
+from xihenet.sampling import SAME_SURFACE, sample_again
 from xihenet.sh import facing_weights
 from xihenet.sphere import AnchorLattice
 
@@ -37,9 +37,6 @@ N_BESIDE = 6
 Within a frame the nearest point wins an anchor. A thing narrower than that takes all of it; from many frames it would
 come to hide whatever is around it, lamps among it.
 """
-
-SAME_SURFACE = 1.3
-"""Two distances in one direction are those of one surface if neither is more than so many times the other."""
 
 
 class FrameAtPosition(NamedTuple):

@@ -38,7 +38,7 @@ from xihenet.records import AnchorSurfaces, ArrayBool, ArrayF32, ArrayF64, Array
 POINT_GAP = 0.7
 
 MOST_ALONG = 32  # Points along one side of a patch, at most
-SAME_SURFACE = 0.25, 0.003  # A third pixel off the line of two: share of their difference, of the inverse distance
+OFF_LINE = 0.25, 0.003  # A third pixel off the line of two: share of their difference, of the inverse distance
 LEVEL_SHARE = 0.25  # Of the height by which a step along the ray would differ: closer in height is one level surface
 NEAREST_M, FARTHEST_M = 1e-6, 1e6  # Patches are of points between; float32 can hold the fourth powers that are needed
 
@@ -130,7 +130,7 @@ def _are_one_surface(inverse: ArrayF32, heights: ArrayF32) -> ArrayBool:
     slopes = inverse[1:] - inverse[:-1]
     bends = np.abs(slopes[1:] - slopes[:-1])
     sizes = np.abs(slopes[1:3])
-    share, floor = SAME_SURFACE
+    share, floor = OFF_LINE
     is_one: ArrayBool = np.fmin(bends[:2], bends[1:]) < share * sizes + floor * inverse[2]
     # Along the ray the height would change by the share by which the neighbour's distance differs from the pixel's.
     climb = np.abs(heights[2:4] - heights[1:3]) * inverse[1:4:2]

@@ -48,8 +48,10 @@ from xihenet.sphere import TABLE_SIZE, AnchorLattice, NearestMethod
 
 MOST_ASIDE = np.radians(50)
 """The light from far away that is seen through an opening is taken for that of directions up to this angle beside."""
-SAME_SURFACE, N_BESIDE = 1.3, 6
-"""Two points in an anchor are of one surface if neither is so many times as far; and anchors around each."""
+SAME_SURFACE = 1.3
+"""Two distances in one direction are those of one surface if neither is more than so many times the other."""
+N_BESIDE = 6
+"""Anchors around each, of which one takes what of its surface found its own anchor taken."""
 _NO_POINT = np.uint64(2**64 - 1)
 _INFINITY_KEY = np.uint64(int(np.float32(np.inf).view(np.uint32)) << 32)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xihenet.invalid import added
-from xihenet.patches import FARTHEST_M, LEVEL_SHARE, MOST_ALONG, NEAREST_M, POINT_GAP, SAME_SURFACE
+from xihenet.patches import FARTHEST_M, LEVEL_SHARE, MOST_ALONG, NEAREST_M, OFF_LINE, POINT_GAP
 from xihenet.records import (
     FAR_M,
     AnchorSurfaces,
@@ -206,9 +206,7 @@ def _is_one_surface(inverse: ArrayF64, heights: ArrayF64, edge: int) -> bool:
     slope = abs(slopes[edge])
     bend = np.fmin(abs(slopes[edge] - slopes[edge - 1]), abs(slopes[edge + 1] - slopes[edge]))
     climb = abs(heights[edge + 1] - heights[edge]) * inverse[1 if edge == 1 else 3]
-    return bool(
-        bend <= SAME_SURFACE[0] * slope + SAME_SURFACE[1] * inverse[2] or climb < LEVEL_SHARE * slope * abs(heights[2])
-    )
+    return bool(bend <= OFF_LINE[0] * slope + OFF_LINE[1] * inverse[2] or climb < LEVEL_SHARE * slope * abs(heights[2]))
 
 
 def _shares(centre: ArrayF64, span: ArrayF64, gap: float) -> ArrayF64:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.made import looked_at, random_cloud
-from xihenet.buffers import SAME_SURFACE, PositionBuffers, in_sight, merge, merge_views
+from xihenet.buffers import PositionBuffers, in_sight, merge, merge_views
 from xihenet.records import AnchorSurfaces, PointCloud, UnitSphereCloud
-from xihenet.sampling import sample_again, sample_unit_sphere
+from xihenet.sampling import SAME_SURFACE, sample_again, sample_unit_sphere
 from xihenet.sh import project_anchors
 from xihenet.sphere import AnchorLattice
 

@@ -28,12 +28,11 @@ from xihenet.io.image_files import read_colour, read_plane_depth
 from xihenet.io.json_files import named, number_in, read_json, side_in
 from xihenet.io.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.phone.metering import metered_exposure
-from xihenet.records import ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+from xihenet.records import POSE_TOLERANCE, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
 MOST_VALUES_BY_PACKAGE = 64_000_000  # Of all channels, which the package unpacks together: 16 megapixels of four
 CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy", "world_from_camera", "convention", "up")
-POSE_TOLERANCE = 1e-3  # Of a rotation's rows and columns, as poses are written with four digits
 BLENDER_FROM_OPENCV_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
 BLENDER_FROM_UP: Mapping[str, ArrayF64] = {
     "z": np.eye(3),
