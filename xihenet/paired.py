@@ -1,4 +1,4 @@
-"""Paired differences: by how much do two methods differ that were tried on the same things, and how sure is that?
+"""Paired values: by how much do two methods differ that were tried on the same things, and how sure is that?
 
 Differences are taken pair by pair, so that what makes one scene harder than another falls out. Pairs of one group, such
 as two seeds of one scene, are not independent: whole groups are drawn anew, which answers "what about other scenes?".
@@ -7,6 +7,8 @@ that number of groups. Means of what was drawn never leave what was seen, so tha
 1 - 2^(1 - G) of all cases, whatever is done: 75 % with three, 94 % with five.
 
 Rejected: a t-test, which takes the differences for normal; those of scenes are not.
+
+Whether two values put things in one order, the rank correlation says.
 
 Source: Hesterberg, "What teachers should know about the bootstrap" (2015), expanded percentile interval.
 """
@@ -26,6 +28,9 @@ N_DRAWS = 10_000
 CONFIDENCE = 0.95
 T_975 = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131)
 """Student's t that 2.5 % lie above, for 1, 2, ... degrees of freedom."""
+
+FEWEST_RANKED = 8
+"""Pairs of a rank correlation from which on its interval holds the truth as often as it says."""
 
 
 @dataclass(frozen=True)
@@ -105,3 +110,35 @@ def t_975(degrees: int) -> float:
         return T_975[degrees - 1]
     z = NormalDist().inv_cdf(0.975)
     return z + (z**3 + z) / (4 * degrees) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * degrees**2)
+
+
+def rank_correlation(first: ArrayF64, second: ArrayF64) -> float:
+    """Spearman's: the correlation of ranks, ties sharing theirs. NaN for fewer than two, or where one is constant."""
+    a, b = (_ranks(np.asarray(values, np.float64)) for values in (first, second))
+    if len(a) < 2 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return float("nan")
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def rank_correlation_interval(first: ArrayF64, second: ArrayF64, rng: np.random.Generator) -> tuple[float, float]:
+    """The 95 % bootstrap interval of `rank_correlation` over pairs.
+
+    NaN where that is undefined, and for fewer than FEWEST_RANKED pairs: of four places such intervals held the true
+    correlation in half to three quarters of simulated cases, and in their order each says 1 to 1.
+    """
+    a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
+    if len(a) < FEWEST_RANKED:
+        return float("nan"), float("nan")
+    draws = rng.integers(0, len(a), (2000, len(a)))
+    found = np.array([rank_correlation(a[draw], b[draw]) for draw in draws])
+    found = found[np.isfinite(found)]
+    if not len(found):
+        return float("nan"), float("nan")
+    low, high = np.percentile(found, (2.5, 97.5))
+    return float(low), float(high)
+
+
+def _ranks(values: ArrayF64) -> ArrayF64:
+    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
+    last = np.cumsum(counts)
+    return (last - (counts - 1) / 2)[index.reshape(-1)]

@@ -19,11 +19,11 @@ from given import given
 from xihe_blender.lab.paper.clouds import walk_errors
 from xihe_blender.lab.paper.records import Place, Session
 from xihenet import estimators
-from xihenet.camera_path.placement import rank_correlation
 from xihenet.captures import open_capture
 from xihenet.captures.capture import Capture
 from xihenet.io.json_files import read_json
 from xihenet.left_out import score_places, score_session
+from xihenet.paired import rank_correlation
 from xihenet.sphere import AnchorLattice
 
 NAMES = ("ambient", "projection", "xihenet", "lattice")

@@ -1,10 +1,10 @@
-"""Paired differences: exact where the answer is known, and sure of themselves as often as they say."""
+"""Paired values: differences and correlations, exact where the answer is known, and as sure of it as they may be."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from xihenet.paired import T_975, paired_difference, t_975
+from xihenet.paired import T_975, paired_difference, rank_correlation, rank_correlation_interval, t_975
 
 
 def generator(seed=0):
@@ -89,3 +89,34 @@ def test_students_t_is_that_of_scipy():
     assert [t_975(d) for d in degrees] == pytest.approx([stats.t.ppf(0.975, d) for d in degrees], rel=1.2e-3)
     assert t_975(1000) == pytest.approx(stats.t.ppf(0.975, 1000), rel=3e-9)
     assert len(T_975) == 15
+
+
+def test_the_correlation_of_ranks_is_that_of_scipy_ties_included():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(2, 40))
+    for one, other in ((a, b), (a, np.exp(a)), (a, -(a**3)), (np.round(a), np.round(b))):
+        assert rank_correlation(one, other) == pytest.approx(stats.spearmanr(one, other).statistic)
+
+
+def test_a_correlation_without_an_order_is_undefined():
+    for a in ([], [1.0], [2.0, 2.0, 2.0]):
+        values = np.array(a)
+        assert np.isnan(rank_correlation(values, np.arange(len(a))))
+        assert np.isnan(rank_correlation_interval(values, np.arange(len(a)), np.random.default_rng(0))).all()
+
+
+@pytest.mark.parametrize("n", [2, 7])
+def test_a_correlation_of_few_pairs_has_no_interval(n):
+    """Of places that lie in order every draw says 1, though the correlation of all places is lower."""
+    assert np.isnan(rank_correlation_interval(np.arange(n), np.arange(n), np.random.default_rng(0))).all()
+
+
+def test_the_interval_holds_the_correlation_and_narrows_with_more_pairs():
+    rng, widths = np.random.default_rng(5), []
+    for n in (20, 500):
+        a = rng.normal(size=n)
+        b = a + rng.normal(size=n)
+        low, high = rank_correlation_interval(a, b, np.random.default_rng(0))
+        assert low < rank_correlation(a, b) < high
+        widths.append(high - low)
+    assert widths[1] < widths[0] / 3

@@ -1,20 +1,12 @@
-"""Places where an object could be, in rooms made of planes, and the correlation of ranks."""
+"""Places where an object could be, in rooms made of planes."""
 
 import numpy as np
 import pytest
-from scipy.stats import spearmanr
 
 from addon_tests.pure.made import frame_of, pose_of
 from xihe_blender.io.placement_results import Place, PlacementResults, Verified
 from xihe_blender.report.placement import write_placement_report
-from xihenet.camera_path.placement import (
-    FEWEST_PIXELS,
-    air_places,
-    places_among,
-    rank_correlation,
-    rank_correlation_interval,
-    upward_points,
-)
+from xihenet.camera_path.placement import FEWEST_PIXELS, air_places, places_among, upward_points
 from xihenet.formats import MINUS
 from xihenet.io.png import write_png
 from xihenet.records import Intrinsics
@@ -121,37 +113,6 @@ def test_places_in_the_air_are_the_same_whether_the_seen_ends_at_the_wall_or_at_
 def test_more_places_in_the_air_than_fit_memory_are_refused():
     with pytest.raises(ValueError, match="places 1e-06 m apart are too many: give a larger spacing"):
         air_places([looking_at(2.0)], 1.0, 1e-6)
-
-
-def test_the_correlation_of_ranks_is_that_of_scipy_ties_included():
-    rng = np.random.default_rng(3)
-    a, b = rng.normal(size=(2, 40))
-    for one, other in ((a, b), (a, np.exp(a)), (a, -(a**3)), (np.round(a), np.round(b))):
-        assert rank_correlation(one, other) == pytest.approx(spearmanr(one, other).statistic)
-
-
-def test_a_correlation_without_an_order_is_undefined():
-    for a in ([], [1.0], [2.0, 2.0, 2.0]):
-        values = np.array(a)
-        assert np.isnan(rank_correlation(values, np.arange(len(a))))
-        assert np.isnan(rank_correlation_interval(values, np.arange(len(a)), np.random.default_rng(0))).all()
-
-
-@pytest.mark.parametrize("n", [2, 7])
-def test_a_correlation_of_few_pairs_has_no_interval(n):
-    """Of places that lie in order every draw says 1, though the correlation of all places is lower."""
-    assert np.isnan(rank_correlation_interval(np.arange(n), np.arange(n), np.random.default_rng(0))).all()
-
-
-def test_the_interval_holds_the_correlation_and_narrows_with_more_pairs():
-    rng, widths = np.random.default_rng(5), []
-    for n in (20, 500):
-        a = rng.normal(size=n)
-        b = a + rng.normal(size=n)
-        low, high = rank_correlation_interval(a, b, np.random.default_rng(0))
-        assert low < rank_correlation(a, b) < high
-        widths.append(high - low)
-    assert widths[1] < widths[0] / 3
 
 
 def test_the_report_of_a_single_place_counts_it_in_the_singular_and_has_true_minus_signs(tmp_path):

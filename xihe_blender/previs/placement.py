@@ -35,18 +35,10 @@ from xihe_blender.report.placement import write_placement_report
 from xihe_blender.scene.state import scene_kept
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
 from xihenet.camera_path.kept_path import FoundLight
-from xihenet.camera_path.placement import (
-    REACH_M,
-    air_places,
-    evenly_chosen,
-    places_among,
-    rank_correlation,
-    rank_correlation_interval,
-    seen_extent,
-    upward_points,
-)
+from xihenet.camera_path.placement import REACH_M, air_places, evenly_chosen, places_among, seen_extent, upward_points
 from xihenet.colour import LUMINANCE
 from xihenet.metrics import shc_rmse
+from xihenet.paired import rank_correlation, rank_correlation_interval
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
 from xihenet.sh import irradiance
 

@@ -22,9 +22,6 @@ SAME_HEIGHT_M = 0.08
 FEWEST_PIXELS = 4
 """Of one cell, over all frames: fewer are noise along an edge."""
 
-FEWEST_RANKED = 8
-"""Pairs of a rank correlation from which on its interval holds the truth as often as it says."""
-
 MOST_IN_AIR = 10_000_000
 """Places of a grid that are looked at: more fit no memory."""
 
@@ -146,35 +143,3 @@ def _in_front_of_surfaces(points_m: ArrayF64, frame: RgbdFrame, reach_m: float) 
     is_in_front = np.zeros(len(points_m), bool)
     is_in_front[points] = is_in_reach & (depth_m < shown_m)
     return is_in_front
-
-
-def rank_correlation(first: ArrayF64, second: ArrayF64) -> float:
-    """Spearman's: the correlation of ranks, ties sharing theirs. NaN for fewer than two, or where one is constant."""
-    a, b = (_ranks(np.asarray(values, np.float64)) for values in (first, second))
-    if len(a) < 2 or np.ptp(a) == 0 or np.ptp(b) == 0:
-        return float("nan")
-    return float(np.corrcoef(a, b)[0, 1])
-
-
-def rank_correlation_interval(first: ArrayF64, second: ArrayF64, rng: np.random.Generator) -> tuple[float, float]:
-    """The 95 % bootstrap interval of `rank_correlation` over pairs.
-
-    NaN where that is undefined, and for fewer than FEWEST_RANKED pairs: of four places such intervals held the true
-    correlation in half to three quarters of simulated cases, and in their order each says 1 to 1.
-    """
-    a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    if len(a) < FEWEST_RANKED:
-        return float("nan"), float("nan")
-    draws = rng.integers(0, len(a), (2000, len(a)))
-    found = np.array([rank_correlation(a[draw], b[draw]) for draw in draws])
-    found = found[np.isfinite(found)]
-    if not len(found):
-        return float("nan"), float("nan")
-    low, high = np.percentile(found, (2.5, 97.5))
-    return float(low), float(high)
-
-
-def _ranks(values: ArrayF64) -> ArrayF64:
-    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    return (last - (counts - 1) / 2)[index.reshape(-1)]

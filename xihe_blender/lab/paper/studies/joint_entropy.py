@@ -19,8 +19,9 @@ from xihe_blender.errors import UserError
 from xihe_blender.lab.paper.clouds import view_errors, views, with_truth
 from xihe_blender.lab.paper.records import Row, Session, Study, StudyOptions, measured, measured_ratio
 from xihenet.camera import unproject_frame
-from xihenet.camera_path.placement import evenly_chosen, rank_correlation, upward_points
+from xihenet.camera_path.placement import evenly_chosen, upward_points
 from xihenet.completeness import ENTROPY_SIZES, joint_entropy
+from xihenet.paired import rank_correlation
 from xihenet.records import ArrayF64, PointCloud
 from xihenet.sampling import sample_farthest, sample_uniform, sample_unit_sphere
 from xihenet.sphere import AnchorLattice
