@@ -267,6 +267,14 @@ def test_the_page_of_the_command_line_is_made_from_the_parsers():
     assert made == page or page[len(made) :].startswith(TRAINING)
 
 
+def test_help_has_the_defaults_of_the_page(capsys):
+    with pytest.raises(SystemExit):
+        command_parser("previs").parse_args(["previs", "--help"])
+    shown_help = " ".join(capsys.readouterr().out.split())
+    assert "how much is rendered; default: balanced" in shown_help
+    assert "the same seed gives the same numbers; default: 0" in shown_help
+
+
 def test_contributing_says_why_tests_are_skipped():
     marks = [
         mark

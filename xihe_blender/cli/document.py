@@ -13,7 +13,7 @@ import contextlib
 import sys
 from collections.abc import Iterator
 
-from xihe_blender.cli.main import COMMANDS, command_parser
+from xihe_blender.cli.main import COMMANDS, command_parser, default_of
 
 TRAINING = "\n## xihe train\n"
 WITHOUT_TRAINING = (
@@ -81,9 +81,8 @@ def _metavar(action: argparse.Action) -> str:
 
 def _row(action: argparse.Action) -> str:
     words = (action.help or "").replace("<", "&lt;")
-    has_default = action.nargs != 0 and action.default not in (None, "", [], ()) and "default" not in words
     is_required = bool(action.option_strings) and action.required
-    parts = [words, f"default: {action.default}" if has_default else "", "required" if is_required else ""]
+    parts = [words, default_of(action), "required" if is_required else ""]
     name = f"{', '.join(action.option_strings)} {_metavar(action)}".strip().replace("|", "\\|")
     return f"| `{name}` | {'; '.join(filter(None, parts))} |"
 

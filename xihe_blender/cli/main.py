@@ -117,13 +117,26 @@ def _train(typed: Sequence[str]) -> int:
     return train(typed)
 
 
+def default_of(action: argparse.Action) -> str:
+    """What an option is if it is not given, "default: 0"; empty where there is nothing to say, or its help says it."""
+    is_said = action.nargs == 0 or action.default in (None, "", [], ()) or "default" in (action.help or "")
+    return "" if is_said else f"default: {action.default}"
+
+
+class _Help(argparse.HelpFormatter):
+    """With the defaults, as docs/cli.md has them."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        return "; ".join(filter(None, (action.help, default_of(action)))).replace("%", "%%")
+
+
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, without the usage that hides it."""
 
     command = ""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
+        super().__init__(**{"formatter_class": _Help} | options)
         for kind, read in ((Path, _path), (float, _number), (int, _whole_number)):
             self.register("type", kind, read)
 
