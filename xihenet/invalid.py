@@ -9,8 +9,10 @@ written as JSON. Rejected: warnings where it happens, which nobody adds up, and 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import TypeVar
 
 Counts = Mapping[str, int]  # How many, by reason; none is 0
+Number = TypeVar("Number", int, float)
 
 LEFT_OUT: Mapping[str, str] = {
     "no_surface": "no surface there: open sky, a window, fog or smoke, or beyond the camera's clip end",
@@ -57,12 +59,12 @@ def counted(**counts: int) -> dict[str, int]:
     return {reason: int(n) for reason, n in counts.items() if n}
 
 
-def added(counts: Iterable[Counts]) -> dict[str, int]:
-    """The sum by reason, in the order in which reasons first turn up."""
-    total: dict[str, int] = {}
-    for one in counts:
-        for reason, n in one.items():
-            total[reason] = total.get(reason, 0) + n
+def added(each: Iterable[Mapping[str, Number]]) -> dict[str, Number]:
+    """The sum by name, such as a reason, in the order in which names first turn up."""
+    total: dict[str, Number] = {}
+    for one in each:
+        for name, n in one.items():
+            total[name] = total.get(name, 0) + n
     return total
 
 

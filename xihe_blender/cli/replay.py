@@ -261,7 +261,7 @@ def _replayed(
         yield {
             "frame": step.frame,
             "time_s": step.time_s,
-            "stage_ms": _summed([report.stage_ms for report in step.reports.values()]),
+            "stage_ms": added(report.stage_ms for report in step.reports.values()),
             "positions": {
                 name: {
                     "fired": report.decision.fire,
@@ -305,10 +305,6 @@ def _note(place: Place, step: ReplayedStep) -> None:
     if seen is not None:
         light = replace(light, reflections=fill_reflections(seen, AnchorLattice(len(seen)), light))
     place.exported.append(NamedLight(place.name, step.frame, step.time_s, light))
-
-
-def _summed(each: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    return {name: sum(one.get(name, 0.0) for one in each) for name in dict.fromkeys(n for one in each for n in one)}
 
 
 def _write(

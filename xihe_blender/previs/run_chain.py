@@ -17,9 +17,8 @@ from __future__ import annotations
 
 import bisect
 import functools
-import itertools
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -41,7 +40,7 @@ from xihe_blender.previs.simulated_phone import CaptureNeeds, SimulatedPhone, fa
 from xihe_blender.previs.true_light import TrueLight
 from xihe_blender.scene.units import seconds_of
 from xihenet.camera import invalid_pixels
-from xihenet.invalid import CLAMPED
+from xihenet.invalid import CLAMPED, added
 from xihenet.io.json_files import read_json
 from xihenet.io.recording import load_frame, save_frame
 from xihenet.light.key_light import with_positions
@@ -271,8 +270,8 @@ def _take_in(
         captured=True,
         exposure=seen.exposure,
         render_s=render_s + sum(light.render_s for light in references.values()),
-        stage_ms=_summed([session.controller.out_of_view_ms, *(report.stage_ms for report in reports.values())]),
-        others_ms=_summed(estimate.other_ms for estimate in estimates),
+        stage_ms=added([session.controller.out_of_view_ms, *(report.stage_ms for report in reports.values())]),
+        others_ms=added(estimate.other_ms for estimate in estimates),
         ambient_radiance=None if seen.ambient is None else as_rgb(seen.ambient),
         n_invalid_pixels=sum(left_out.values()),
         n_lost_pixels=n_lost,
@@ -280,13 +279,6 @@ def _take_in(
         probes=probes,
         rendering=_rendering(frame, references, run) if run.has_truth else None,
     )
-
-
-def _summed(each: Iterable[Mapping[str, float]]) -> dict[str, float]:
-    total: dict[str, float] = {}
-    for name, value in itertools.chain.from_iterable(one.items() for one in each):
-        total[name] = total.get(name, 0.0) + value
-    return total
 
 
 def _probe_result(
