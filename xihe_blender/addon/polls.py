@@ -22,6 +22,7 @@ from xihe_blender.scene.virtual_objects import (
     ancestors,
     has_renderable_geometry,
     is_bare_curve,
+    rendered_collections,
     virtual_objects,
     with_parts,
 )
@@ -109,7 +110,7 @@ def doubts(scene: bpy.types.Scene) -> list[str]:
 
 
 def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
-    virtual, rendered = virtual_objects(scene), _rendered_collections(scene)
+    virtual, rendered = virtual_objects(scene), rendered_collections(scene)
     unseen = [item.name for item in virtual if not _is_rendered(item, rendered)]
     bare = [item.name for item in virtual if is_bare_curve(item)]
     inserted = set(virtual)
@@ -135,16 +136,6 @@ def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
 
 def _named(names: list[str]) -> str:
     return repr(names[0]) if len(names) == 1 else f"{names[0]!r} and {len(names) - 1} more"
-
-
-def _rendered_collections(scene: bpy.types.Scene) -> set[bpy.types.Collection]:
-    """Those that renders show, the scene's own among them."""
-    found, enabled = set(), [scene.collection]
-    while enabled:
-        collection = enabled.pop()
-        found.add(collection)
-        enabled += [child for child in collection.children if not child.hide_render]
-    return found
 
 
 def _is_rendered(item: bpy.types.Object, rendered: set[bpy.types.Collection]) -> bool:

@@ -29,7 +29,7 @@ from xihe_blender.light_transport.animation import (
     shape_of,
     values_of,
 )
-from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, in_virtual_collection
 
 HANDLERS = ("frame_change_pre", "frame_change_post", "depsgraph_update_pre", "depsgraph_update_post", "render_pre")
 RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow")
@@ -59,8 +59,7 @@ class StateSurvey:
     """Gathers the state of `scene` at each frame that is looked at."""
 
     def __init__(self, scene: bpy.types.Scene) -> None:
-        collection = virtual_collection(scene)
-        self.virtual = set(collection.all_objects) if collection is not None else set()
+        self.virtual = set(in_virtual_collection(scene))
         users = bpy.data.user_map(key_types={"OBJECT"}, value_types=SHADERS)
         self.in_shaders = {item for item, of_item in users.items() if of_item}
         """Objects whose place a texture follows."""

@@ -32,7 +32,7 @@ from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.shader_nodes import constant, has_nodes
 from xihe_blender.scene.state import animated_paths
 from xihe_blender.scene.units import metres_per_unit
-from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, in_virtual_collection, rendered_collections
 from xihenet.records import ArrayF32, ArrayF64
 
 BRIGHTEST = 1e30
@@ -170,8 +170,7 @@ def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
 
     Over a phone's recording holes are made by intention.
     """
-    collection = virtual_collection(scene)
-    virtual = set(collection.all_objects) if collection is not None else set()
+    virtual = set(in_virtual_collection(scene))
     for lamp in sorted(item.name for item in virtual if item.type == "LIGHT"):
         said = f"Lamp {lamp!r} is among the virtual objects and shines on nothing: move it out of their collection."
         yield Fault(name=lamp, n=1, said=said)
@@ -179,7 +178,7 @@ def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
         return
     layer = scene.view_layers[0]
     layer.update()  # Blender 5.2 lists no objects before.
-    rendered = set(_rendered_in(scene.collection))
+    rendered = {item for home in rendered_collections(scene) for item in home.objects if not item.hide_render}
     unseen = [
         item.name
         for item in layer.objects
@@ -204,8 +203,7 @@ def layer_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
     """What the user renders in other view layers alone: captures and ground truth are of the first one."""
     first, *others = scene.view_layers
     first.update()
-    known, collection = set(first.objects), virtual_collection(scene)
-    known.update(collection.all_objects if collection is not None else ())
+    known = {*first.objects, *in_virtual_collection(scene)}
     for layer in [layer for layer in others if layer.use]:
         alone = [item.name for item in dict.fromkeys(seen_in(layer.layer_collection)) if item not in known]
         if alone:
@@ -312,14 +310,6 @@ def _is_zone_baked(modifier: bpy.types.NodesModifier, zone: bpy.types.NodesModif
         return False
     finally:
         zone.use_custom_path, zone.directory = place
-
-
-def _rendered_in(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
-    """What neither an object's own switch nor that of a collection hides in renders."""
-    if not collection.hide_render:
-        yield from (item for item in collection.objects if not item.hide_render)
-        for child in collection.children:
-            yield from _rendered_in(child)
 
 
 def image_faults(world: bpy.types.World | None) -> Iterator[Fault]:

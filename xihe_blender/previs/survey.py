@@ -39,7 +39,7 @@ from xihe_blender.previs.scene_faults import (
 from xihe_blender.scene import shader_nodes
 from xihe_blender.scene.estimation_positions import box_corners_m
 from xihe_blender.scene.units import seconds_of
-from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, virtual_collection
+from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, in_virtual_collection
 from xihenet.camera import in_view
 from xihenet.controller import MOVED_M
 from xihenet.effects import Requirement
@@ -226,8 +226,7 @@ class RoomSurvey:
     """
 
     def __init__(self, scene: bpy.types.Scene) -> None:
-        virtual = virtual_collection(scene)
-        self.virtual = {item.name for item in virtual.all_objects} if virtual is not None else set()
+        self.virtual = {item.name for item in in_virtual_collection(scene)}
         self.lights: set[frozenset[Any]] = set()
         """What each frame's lights are and where; one entry as long as none of it changes."""
         self.is_driven = False

@@ -62,10 +62,13 @@ def virtual_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     Lights, cameras and plain empties are left out; an empty that instances a collection counts. Whether an object is
     hidden is not asked, because capture hides them itself. Empty without a collection.
     """
+    return sorted(filter(has_renderable_geometry, in_virtual_collection(scene)), key=lambda item: item.name)
+
+
+def in_virtual_collection(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """All objects in the virtual collection and its children, with or without geometry."""
     collection = virtual_collection(scene)
-    if collection is None:
-        return []
-    return sorted((o for o in collection.all_objects if has_renderable_geometry(o)), key=lambda o: o.name)
+    return [] if collection is None else list(collection.all_objects)
 
 
 def make_virtual(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
@@ -234,6 +237,16 @@ def collections_of(scene: bpy.types.Scene) -> tuple[set[bpy.types.Collection], s
     collection = virtual_collection(scene)
     virtual = set() if collection is None else {collection, *collection.children_recursive}
     return virtual, {scene.collection, *scene.collection.children_recursive} - virtual
+
+
+def rendered_collections(scene: bpy.types.Scene) -> set[bpy.types.Collection]:
+    """Those that renders show, the scene's own among them."""
+    found, enabled = set(), [scene.collection]
+    while enabled:
+        collection = enabled.pop()
+        found.add(collection)
+        enabled += [child for child in collection.children if not child.hide_render]
+    return found
 
 
 def _check_are_own(objects: Sequence[bpy.types.Object], collections: Sequence[bpy.types.Collection]) -> None:
