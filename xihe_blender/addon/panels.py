@@ -93,9 +93,16 @@ class StagePanel:
     bl_region_type = "UI"
     bl_category = TAB
 
+    layout: bpy.types.UILayout
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return cls is XIHE_PT_apply or not shows_run(context)
+
+    def properties_layout(self) -> bpy.types.UILayout:
+        """The panel's own, with names on the left of what can be set, and no dots for keys."""
+        self.layout.use_property_split, self.layout.use_property_decorate = True, False
+        return self.layout
 
 
 class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
@@ -109,7 +116,8 @@ class XIHE_PT_virtual_objects(StagePanel, bpy.types.Panel):
             sentence(context, layout, "Select the objects that the phone should insert, then add them:")
         column = layout.column(align=True)
         for item in objects[:N_NAMED]:
-            column.label(text=item.name, icon=object_icon(item), translate=False)
+            icon = "OUTLINER_OB_MESH" if item.type == "MESH" else "OBJECT_DATA"
+            column.label(text=item.name, icon=icon, translate=False)
         if len(objects) > N_NAMED:
             column.label(text=f"and {len(objects) - N_NAMED} more", icon="BLANK1")
         column = layout.column(align=True)
@@ -127,11 +135,9 @@ class XIHE_PT_camera_path(StagePanel, bpy.types.Panel):
     bl_order = 1
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, scene, settings = self.layout, context.scene, context.scene.xihe
+        layout, scene, settings = self.properties_layout(), context.scene, context.scene.xihe
         if scene.camera is None:
             sentence(context, layout, "Add a camera to act as the phone")
-        layout.use_property_split = True
-        layout.use_property_decorate = False
         layout.prop(scene, "camera")
         is_recorded = remembered_capture(scene) is not None
         if is_recorded:
@@ -154,9 +160,7 @@ class XIHE_PT_picture(StagePanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.layout, context.scene.xihe
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = self.properties_layout(), context.scene.xihe
         layout.prop(settings, "use_own_frames")
         if settings.use_own_frames:
             column = layout.column(align=True)
@@ -226,9 +230,7 @@ class XIHE_PT_estimator(StagePanel, bpy.types.Panel):
     bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.layout, context.scene.xihe
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = self.properties_layout(), context.scene.xihe
         layout.prop(settings, "estimator")
         layout.prop(settings, "uses_edge_server")
         if settings.uses_edge_server:
@@ -253,9 +255,7 @@ class XIHE_PT_estimator_details(StagePanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings = self.layout, context.scene.xihe
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = self.properties_layout(), context.scene.xihe
         layout.column(align=True).prop(settings, "others")
         layout.prop(settings, "target")
         layout.prop(settings, "light")
@@ -475,10 +475,6 @@ def method_rows(run: RunResults) -> list[tuple[str, str, str, str]]:
     ]
 
 
-def object_icon(item: bpy.types.Object) -> str:
-    return "OUTLINER_OB_MESH" if item.type == "MESH" else "OBJECT_DATA"
-
-
 def in_title(name: str) -> str:
     """As Blender writes labels, without touching what is in capitals already: "Fast GI", "Edge Bleeding"."""
     return " ".join(as_sentence(word) for word in name.replace("_", " ").split(" "))
@@ -497,11 +493,11 @@ def missing_run(folder: str, is_under_way: bool) -> str:
 
 def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
     """(label, value, what it means) of the last run; the first two are short enough for half the sidebar."""
-    summary, has_truth = run.summary, run.recording is None
+    summary, has_truth, expects = run.summary, run.recording is None, run.summary.expected_error is not None
     rows = [
         ("Estimates", f"{summary.n_estimates} in {summary.n_frames} frames", ESTIMATES),
         *[("Light Error", _number(summary.mean_shc_rmse, ".3f"), LIGHT_ERROR)] * has_truth,
-        *_expected(summary.expected_error),
+        *[("Expected Error", _number(summary.expected_error, ".3f"), EXPECTED_ERROR)] * expects,
         *[("Ambient Error", _number(summary.ambient_shc_rmse, ".3f"), AMBIENT_ERROR)] * has_truth,
         ("Coverage", _number(summary.mean_coverage, ".0%"), COVERAGE),
         ("Chain", _number(summary.mean_step_ms, ".1f", " ms a frame"), CHAIN),
@@ -517,10 +513,6 @@ def result_rows(run: RunResults) -> list[tuple[str, str, str]]:
         unanswered = f". Because the edge service did not answer: {n} of them" if n else ""
         rows.append(("Unknown Light", f"{summary.n_unknown_lights} times", f"{UNKNOWN_LIGHT}{unanswered}"))
     return rows
-
-
-def _expected(error: float | None) -> list[tuple[str, str, str]]:
-    return [] if error is None else [("Expected Error", f"{error:.3f}", EXPECTED_ERROR)]
 
 
 def _number(value: float | None, form: str, unit: str = "") -> str:
