@@ -63,12 +63,3 @@ def kept_or_done(
         write_json(path, as_json((yield from job)))
         kept = read_record(kind, path)
     return kept
-
-
-def kept_or_made(path: Path, read: Callable[[Json], Kept], make: Callable[[], Json]) -> Kept:
-    """What `read` makes of the JSON in the file, which is written as `make` says if it is not there or is damaged."""
-    kept = kept_json(path, read)
-    if kept is not None:
-        return kept
-    write_json(path, make())
-    return read(read_json(path))

@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import bpy
 
@@ -20,7 +21,7 @@ from xihe_blender.capture.render import RenderSettings
 from xihe_blender.capture.scanner import meter_exposure
 from xihe_blender.compare.methods import Comparer, OverRecording, open_comparer
 from xihe_blender.io.json_records import Json, as_json
-from xihe_blender.io.kept_files import kept_json, kept_or_done, kept_or_made, kept_record
+from xihe_blender.io.kept_files import kept_json, kept_or_done, kept_record
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import Job, Progress, shown
 from xihe_blender.light_transport import cycles_settings
@@ -33,6 +34,7 @@ from xihe_blender.previs.simulated_phone import CaptureNeeds, ChosenPhone, choos
 from xihe_blender.previs.survey import SceneSurvey, survey_path
 from xihenet.effects import Effect, effects_as_json, effects_from_json, plan_effects
 from xihenet.estimators import Estimator
+from xihenet.io.json_files import read_json
 from xihenet.trigger import TriggerSettings
 
 NOISE_MARGIN = 1.5
@@ -182,11 +184,10 @@ def prepare_run(
         exposure = yield from shown(metering, Progress(0, 1, "metering the exposure"))
         write_json(outputs.exposure, {"exposure": exposure})
     choices = overrides_in_force(scene, settings.effect_choices)
-    effects = kept_or_made(
-        outputs.effects,
-        lambda content: effects_kept(survey, content),
-        lambda: effects_as_json(plan_effects(survey.required, choices)),
-    )
+    effects = kept_json(outputs.effects, partial(effects_kept, survey))
+    if effects is None:
+        write_json(outputs.effects, effects_as_json(plan_effects(survey.required, choices)))
+        effects = effects_kept(survey, read_json(outputs.effects))
     count = SampleCount(0)
     if has_truth:
         measuring = measure_sample_count(scene, plan, survey, settings, exposure, cycles_settings(effects))
