@@ -39,7 +39,7 @@ def other_cameras(context: bpy.types.Context) -> bool:
 
 
 def has_look(context: bpy.types.Context) -> str | None:
-    return None if any(row.has_look for row in advice_for(context)) else "Ask where to look first"
+    return None if any(row.look for row in advice_for(context)) else "Ask where to look first"
 
 
 class XIHE_OT_look_where(polls.Conditional, ModalJob, bpy.types.Operator):
@@ -69,10 +69,8 @@ class XIHE_OT_look_where(polls.Conditional, ModalJob, bpy.types.Operator):
                 rows.remove(rows.find(advice.name))
             row = rows.add()
             row.name, row.run_folder, row.sentence = advice.name, self.folder, advice.sentence
-            row.has_look = advice.look is not None
             if advice.look is not None:
-                row.place_m, row.direction = advice.look.place_m, advice.look.direction
-                row.frame, row.look = advice.look.frame, json.dumps(as_json(advice.look))
+                row.look = json.dumps(as_json(advice.look))
         redraw(context.window_manager, has_view_changed=True)
         # Blender's status bar cuts what is longer.
         said = [f"{advice.name}: {advice.in_short}" for advice in result]
@@ -95,9 +93,10 @@ class XIHE_OT_add_better_camera(Action, bpy.types.Operator):
         from xihe_blender.io.look_results import LookAway
         from xihe_blender.previs.better_camera import add_better_camera
 
-        row = next(row for row in advice_for(context) if row.has_look)
-        camera, last = add_better_camera(context.scene, from_json(LookAway, json.loads(row.look)))
-        return f"Camera {camera.name} looks away at frame {row.frame} for {row.name}; its last frame is {last}"
+        row = next(row for row in advice_for(context) if row.look)
+        look = from_json(LookAway, json.loads(row.look))
+        camera, last = add_better_camera(context.scene, look)
+        return f"Camera {camera.name} looks away at frame {look.frame} for {row.name}; its last frame is {last}"
 
 
 @bpy.app.handlers.persistent

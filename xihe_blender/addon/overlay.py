@@ -11,8 +11,9 @@ at module level, `_overlay`, holds the handle that has to be given back. In back
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -89,12 +90,12 @@ class Overlay:
             draw_disc(x, y, colour_of(seen))
             draw_label(x, y, position.name if seen is None else f"{position.name}  {seen:.0%}", taken)
         labelled: set[tuple[float, ...]] = set()
-        for row in [row for row in advice_for(context) if row.has_look]:
-            start = draw_look(context, row)
+        for look in [json.loads(row.look) for row in advice_for(context) if row.look]:
+            start = draw_look(context, look)
             # Objects beside each other ask for a look from the same place.
-            if start is not None and (spot := (row.frame, *row.place_m)) not in labelled:
+            if start is not None and (spot := (look["frame"], *look["place_m"])) not in labelled:
                 labelled.add(spot)
-                draw_label(*start, f"look at frame {row.frame}", taken)
+                draw_label(*start, f"look at frame {look['frame']}", taken)
 
 
 def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> list[Position]:
@@ -144,14 +145,13 @@ def on_screen(context: bpy.types.Context, positions: Sequence[Position]) -> Iter
             yield position, pixel.x, pixel.y
 
 
-def draw_look(context: bpy.types.Context, row: Any) -> tuple[float, float] | None:
+def draw_look(context: bpy.types.Context, look: Mapping[str, Any]) -> tuple[float, float] | None:
     """An arrow from where the phone should stand to where it should look; its start on screen, if it is in view."""
     from bpy_extras.view3d_utils import location_3d_to_region_2d
 
     metres = metres_per_unit(context.scene)
-    ends = [
-        tuple((p + far * d) / metres for p, d in zip(row.place_m, row.direction, strict=True)) for far in (0, LOOK_M)
-    ]
+    along = list(zip(look["place_m"], look["direction"], strict=True))
+    ends = [tuple((p + far * d) / metres for p, d in along) for far in (0, LOOK_M)]
     start, tip = (location_3d_to_region_2d(context.region, context.region_data, end) for end in ends)
     if start is None or tip is None:
         return None

@@ -440,7 +440,7 @@ def _draw_looks(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     both = beside_or_below(context, layout)
     both.operator("xihe.look_where", icon="HIDE_OFF")
     advice = advice_for(context)
-    if any(one.has_look for one in advice):
+    if any(one.look for one in advice):
         both.operator("xihe.add_better_camera", icon="CAMERA_DATA")
     for one in advice:
         sentence(context, layout, f"{one.name!r}: {one.sentence}", icon="INFO")

@@ -286,11 +286,7 @@ class XiheLook(bpy.types.PropertyGroup):
 
     run_folder: bpy.props.StringProperty(name="Run", description="Folder of the run, as the scene names it")
     sentence: bpy.props.StringProperty(name="Advice", description="Where to look, and what it is expected to bring")
-    has_look: bpy.props.BoolProperty(name="Has Look", description="Whether any look would add much")
-    frame: bpy.props.IntProperty(name="Frame", description="At which the phone should look away from its path")
-    place_m: bpy.props.FloatVectorProperty(name="Place", description="Of the phone then, in metres", size=3)
-    direction: bpy.props.FloatVectorProperty(name="Direction", description="In which it should look", size=3)
-    look: bpy.props.StringProperty(name="Look", description="All of it, as JSON")
+    look: bpy.props.StringProperty(name="Look", description="All of it, as JSON; empty where no look would add much")
 
 
 class XiheJobState(bpy.types.PropertyGroup):

@@ -1,5 +1,7 @@
 """After a run: where should the phone look? Said below the button, drawn as an arrow in the view, done by a camera."""
 
+import json
+
 import bpy
 from rooms import make_runs_short, room_with_a_virtual_ball
 
@@ -22,7 +24,7 @@ def scenario(w):
     yield from w.click_on("xihe.look_where")
     yield from w.wait_until(lambda: len(job.looks) > 0, "the advice is there")
     yield 0.5
-    w.facts["said"], w.facts["frame"] = job.looks[0].sentence, job.looks[0].frame
+    w.facts["said"], w.facts["frame"] = job.looks[0].sentence, json.loads(job.looks[0].look)["frame"]
     yield from w.picture("advice")
     yield from w.click_on("xihe.add_better_camera", across=0.8)
     yield 0.5
