@@ -171,14 +171,15 @@ class MeasuredLight:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceLight:
-    """The light at one position, and what camera rays see there, in scene radiance.
-
-    `panorama` is (H, 2H, 3) float32, `ball` (N, N, 3) float32, the same as a mirror ball.
-    """
+    """The light at one position, and what camera rays see there: scene radiance as a mirror ball, (N, N, 3) float32."""
 
     measured: MeasuredLight
-    panorama: ArrayF32
     ball: ArrayF32
+
+    @property
+    def panorama(self) -> ArrayF32:
+        """(H, 2H, 3) float32, the same."""
+        return panorama_of_ball(self.ball, max(8, len(self.ball) // 4))
 
 
 @dataclass
@@ -237,11 +238,10 @@ class ReferenceProbe:
             self.settings.max_samples,
         )
         seen: ArrayF32 = np.mean([view.radiance for view in views], axis=0) if smooth is None else smooth.radiance
-        ball = seen / gain
         render_s = 0.0 if smooth is None else smooth.render_s
         render_s += sum(view.render_s for view in views) + sum(cone.render_s for cone in cones)
         measured = MeasuredLight(ldr, hdr, ldr_noise, hdr_noise, len(views), len(cones), render_s)
-        return ReferenceLight(measured, panorama_of_ball(ball, max(8, self.settings.size // 4)), ball)
+        return ReferenceLight(measured, seen / gain)
 
     def _measure(
         self, take: Callable[[int], Picture], lights: Callable[[Sequence[Picture]], ArrayF64], most: int
