@@ -266,20 +266,6 @@ def test_nearest_names_what_it_expected():
         AnchorLattice(16).nearest(np.ones((1, 3)), "fast")
 
 
-def test_a_mean_is_that_of_the_values_around_each_anchor_by_their_weights():
-    rng, lattice = np.random.default_rng(0), AnchorLattice(40)
-    directions = rng.normal(size=(90, 3))
-    values, weights, anchors = rng.random((90, 3)), rng.random(90), lattice.nearest(directions)
-    for weighted, of_each in ((weights, weights), (None, np.ones(90))):
-        means, has_any = lattice.means(directions, values, weighted)
-        np.testing.assert_array_equal(has_any, np.isin(np.arange(40), anchors))
-        for anchor in range(40):
-            its = anchors == anchor
-            expected = np.average(values[its], axis=0, weights=of_each[its]) if its.any() else 0
-            np.testing.assert_allclose(means[anchor], expected)
-    assert not has_any.all()
-
-
 @pytest.mark.parametrize(("n", "k"), [(1, 1), (2, 2), (9, 9), (100, 4), (333, 16), (1280, 4)])
 def test_neighbours_are_the_nearest_anchors_in_order(n, k):
     lattice = AnchorLattice(n)
