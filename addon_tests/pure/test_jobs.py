@@ -135,34 +135,40 @@ def test_work_that_was_done_before_makes_no_pace():
     assert seconds_left(*resumed)[-1] == pytest.approx(5)
 
 
-def test_ctrl_c_lets_the_step_end_and_closes_the_job():
-    log = []
-    with pytest.raises(KeyboardInterrupt):
-        run_blocking(count_to(5, log, press_ctrl_c))
-    assert log == [0, 1, "closed"]
+def press_twice():
+    press_ctrl_c()
+    press_ctrl_c()
+    raise AssertionError("the second one did not stop the step")
 
 
-def test_ctrl_c_while_progress_is_shown_stops_before_the_next_step():
+class OnPurpose(Exception):
+    pass
+
+
+def fail():
+    raise OnPurpose
+
+
+@pytest.mark.parametrize(
+    ("action", "show", "error", "expected"),
+    [
+        (press_ctrl_c, None, KeyboardInterrupt, [0, 1, "closed"]),
+        (press_twice, None, KeyboardInterrupt, [0, 1, "closed"]),
+        (None, lambda progress, _: progress.done == 2 and press_ctrl_c(), KeyboardInterrupt, [0, 1, "closed"]),
+        (fail, None, OnPurpose, [0, 1, "closed"]),
+        (None, lambda progress, _: 1 / progress.done, ZeroDivisionError, ["closed"]),
+    ],
+    ids=["ctrl c in a step, which ends", "ctrl c twice", "ctrl c while shown", "error in a step", "error while shown"],
+)
+def test_what_ends_a_job_early_comes_out_as_it_is_and_closes_it(action, show, error, expected):
     log = []
-    with pytest.raises(KeyboardInterrupt):
-        run_blocking(count_to(5, log), lambda progress, _: press_ctrl_c() if progress.done == 2 else None)
-    assert log == [0, 1, "closed"]
+    with pytest.raises(error):
+        run_blocking(count_to(5, log, action), *([show] if show else []))
+    assert log == expected
 
 
 def test_ctrl_c_in_the_last_step_does_not_lose_the_result():
     assert run_blocking(count_to(2, action=press_ctrl_c)) == "result"
-
-
-def test_a_second_ctrl_c_does_not_wait_for_the_step():
-    def press_twice():
-        press_ctrl_c()
-        press_ctrl_c()
-        raise AssertionError("the second one did not stop the step")
-
-    log = []
-    with pytest.raises(KeyboardInterrupt):
-        run_blocking(count_to(5, log, press_twice))
-    assert log == [0, 1, "closed"]
 
 
 # In a process of its own, since what goes wrong here waits for ever.
@@ -195,23 +201,6 @@ for line in range(1, 30):
 def test_a_second_ctrl_c_while_the_first_one_is_remembered_ends_the_job_too():
     said = subprocess.run([sys.executable, "-c", TWICE_AT_ONCE], capture_output=True, timeout=60, check=True).stdout
     assert said.split() == [b"%d" % line for line in range(1, 30)]
-
-
-def test_an_error_in_a_step_comes_out_as_it_is_and_closes_the_job():
-    def fail():
-        raise OSError("on purpose")
-
-    log = []
-    with pytest.raises(OSError, match="on purpose"):
-        run_blocking(count_to(5, log, fail))
-    assert log == [0, 1, "closed"]
-
-
-def test_an_error_while_showing_progress_closes_the_job():
-    log = []
-    with pytest.raises(ZeroDivisionError):
-        run_blocking(count_to(5, log), lambda progress, _: 1 / progress.done)
-    assert log == ["closed"]
 
 
 @pytest.mark.parametrize("action", [None, press_ctrl_c])
