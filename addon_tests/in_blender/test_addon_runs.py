@@ -36,7 +36,6 @@ from xihe_blender.addon.run_settings import run_and_show
 from xihe_blender.addon.runs_folder import found_folder, last_run, shown_runs
 from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.apply.keys import f_curves
-from xihe_blender.compare.side_by_side import middle_of_change, wiped
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import write_json
 from xihe_blender.io.run_lights import light_of_change
@@ -374,23 +373,6 @@ def test_the_comparison_follows_the_playhead(shown):
     remove_everything()
     follow_playhead()
     assert image_named(COMPARISON_NAME) is None, "a playhead makes nothing that was removed"
-
-
-def test_the_wipe_begins_where_half_of_the_objects_is_on_either_side():
-    before = np.full((4, 10, 3), 0.5, np.float32)
-    after = before.copy()
-    after[1, [1, 2, 8]] = 1.0
-    assert middle_of_change(before, after) == 0.25
-    assert middle_of_change(before, before) == 0.5
-
-
-@pytest.mark.parametrize("wipe", [-1.0, 0.0, 0.01, 0.5, 0.999, 1.0, 2.0])
-def test_a_wipe_never_leaves_the_picture(wipe):
-    estimate, truth = np.zeros((2, 5, 3), np.float32), np.full((2, 5, 3), 0.5, np.float32)
-    place = round(min(max(wipe, 0), 1) * 5)
-    row = wiped(estimate, truth, wipe)[0, :, 0].tolist()
-    line = [1.0] if 0 < place < 5 else []
-    assert row == [0.0] * place + line + [0.5] * (5 - place - len(line))
 
 
 @pytest.mark.slow

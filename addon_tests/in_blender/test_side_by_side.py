@@ -43,7 +43,8 @@ def panels(picture):
 
 
 @pytest.mark.parametrize(
-    ("wipe", "row"), [(-1, "tttt"), (0, "tttt"), (0.25, "e|tt"), (0.7, "eee|"), (1, "eeee"), (9, "eeee")]
+    ("wipe", "row"),
+    [(-1, "tttt"), (0, "tttt"), (0.1, "tttt"), (0.25, "e|tt"), (0.7, "eee|"), (0.95, "eeee"), (1, "eeee"), (9, "eeee")],
 )
 def test_a_wipe_has_the_estimate_on_its_left_and_its_middle_is_where_most_changes(wipe, row):
     estimate, truth = (np.full((2, 4, 3), value, np.float32) for value in (0.25, 0.5))
