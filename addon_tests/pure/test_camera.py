@@ -97,12 +97,6 @@ def test_a_room_in_the_coordinates_of_a_map_looks_as_one_at_the_origin(origin_m)
     assert np.abs(near.distance_m - far.distance_m)[both].max() < 1e-5
 
 
-def test_points_behind_the_camera_are_not_in_view():
-    intrinsics = Intrinsics(4, 4, 2.0, 2.0, 2.0, 2.0)
-    points = [[0, 0, -1], [0, 0, 1], [0.9, 0, -1], [1.1, 0, -1], [0, 0, 0], [1, 0, 0], [np.nan, 0, -1]]
-    assert in_view(points, intrinsics, np.eye(4)).tolist() == [True, False, True, False, False, False, False]
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_a_part_of_the_picture_has_all_pixels_that_show_the_points_and_no_row_or_column_more(seed):
     rng = np.random.default_rng(seed)
@@ -138,11 +132,13 @@ def test_a_point_is_as_far_behind_as_the_surface_of_its_own_pixel_says():
         assert behind_m(one, frame_of([[np.float32(surface_m)]], camera)) == pytest.approx(by_m)
 
 
-def test_the_cameras_own_plane_has_no_pixel_and_the_far_edges_of_the_picture_are_outside():
+def test_in_view_is_what_lies_before_the_camera_within_the_near_edges_of_the_picture_and_not_on_the_far_ones():
     camera = Intrinsics(4, 3, 2.0, 2.0, 2.0, 1.5), np.eye(4)
-    points = [[-1, 0.75, -1], [1, 0, -1], [0, -0.75, -1], [1, 1, 0], [0, 0, 0]]
-    assert in_view(points, *camera).tolist() == [True, False, False, False, False]
-    assert np.isnan(project_points(points[3:], *camera)[0]).all()
+    in_picture, far_edges = [[0, 0, -1], [0.9, 0, -1], [-1, 0.75, -1]], [[1, 0, -1], [0, -0.75, -1], [1.1, 0, -1]]
+    own_plane, behind = [[1, 1, 0], [0, 0, 0], [1, 0, 0]], [[0, 0, 1], [np.nan, 0, -1]]
+    seen = in_view([*in_picture, *far_edges, *own_plane, *behind], *camera)
+    assert seen.tolist() == [True] * 3 + [False] * 8
+    assert np.isnan(project_points(own_plane, *camera)[0]).all()
 
 
 def test_no_points_project_to_no_pixels():
