@@ -161,23 +161,16 @@ def test_the_pilot_takes_the_time_in_which_it_renders_and_not_that_between_its_s
     assert 0 < count.pilot_s < 1e4 < sum(waited)
 
 
-def test_a_number_of_samples_is_taken_as_it_is_without_a_pilot():
-    scene = room_with_a_virtual_sphere(3)
-    settings = replace(SMALL, samples=7, exposure=1.0)
+@pytest.mark.parametrize(
+    ("samples", "looks_at_it", "expected"), [(7, True, 7), (None, False, PRESETS[SMALL.preset].max_samples)]
+)
+def test_a_number_that_is_given_or_a_path_that_sees_no_position_needs_no_pilot(samples, looks_at_it, expected):
+    scene, settings = room_with_a_virtual_sphere(2), replace(SMALL, samples=samples, exposure=1.0)
+    for frame in () if looks_at_it else (1, 2):
+        look_away(scene.camera, frame)
     plan, survey = surveyed(scene, settings)
     with counted_renders() as renders:
-        assert run_blocking(measure_sample_count(scene, plan, survey, settings, 1.0)) == SampleCount(7)
-    assert not renders
-
-
-def test_a_path_that_sees_no_position_needs_no_pilot():
-    scene = room_with_a_virtual_sphere(2)
-    for frame in (1, 2):
-        look_away(scene.camera, frame)
-    plan, survey = surveyed(scene, SMALL)
-    maximum = PRESETS[SMALL.preset].max_samples
-    with counted_renders() as renders:
-        assert run_blocking(measure_sample_count(scene, plan, survey, SMALL, 1.0)) == SampleCount(maximum)
+        assert run_blocking(measure_sample_count(scene, plan, survey, settings, 1.0)) == SampleCount(expected)
     assert not renders
 
 
