@@ -1,5 +1,6 @@
 """Live light: an object that is moved or added after a run gets the light of its new place, without a render."""
 
+import json
 import shutil
 
 import bpy
@@ -15,6 +16,7 @@ from xihe_blender.apply.datablocks import LightOf, lit_scene, moved_positions
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_scene import ROOM_COPY, keep_added
 from xihe_blender.io.outputs import RunOutputs
+from xihe_blender.io.run_lights import LightsAsked, lights_asked
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
@@ -219,3 +221,22 @@ def test_a_render_begins_when_the_thread_that_finds_light_has_ended(scene, lit_r
         for called in added:
             handlers.remove(called)
     assert alive == [False] and task.found.keys() == {"Ball"}
+
+
+def test_export_light_has_moved_and_added_objects_also_from_the_lit_scene(scene, lit_run, tmp_path):
+    folder = shutil.copytree(lit_run, tmp_path / "out")
+    scene.xihe.run_folder = str(folder)
+    bpy.data.objects["Ball"].location.x += 0.4
+    sphere(scene, "New", (0.3, 0.6, 1.2), 0.1, None, virtual_collection(scene))
+    bpy.context.view_layer.update()
+    assert bpy.ops.xihe.update_light() == bpy.ops.xihe.show_lit() == {"FINISHED"}
+    written = []
+    for shown in (scene, lit_scene()):
+        with bpy.context.temp_override(scene=shown):
+            assert bpy.ops.xihe.export_light(target="three") == {"FINISHED"}
+        content = json.loads((folder / "exports" / "three" / "three.json").read_text())
+        written.append({light["object"]: light["sh"] for light in content["lights"]})
+    of_room, of_lit = written
+    assert of_room == of_lit and of_room.keys() == {"Ball", "Board", "New"}
+    at_run = lights_asked(read_results(folder), folder, LightsAsked(scene.frame_current, objects=("Ball",)))
+    assert np.abs(np.reshape(of_lit["Ball"], (9, 3)) - at_run[0].light.sh).max() > 0.01
