@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
@@ -10,9 +12,9 @@ from previs_runs import counted_renders
 from shown_lights import keyed
 from tiny_scenes import key, opened, sphere
 
-from xihe_blender.addon import live_light
+from xihe_blender.addon import live_light, panels
 from xihe_blender.addon.results_in_blender import apply_results
-from xihe_blender.apply.datablocks import LightOf, lit_scene, moved_positions
+from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, LightOf, image_named, lit_scene, moved_positions
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_scene import ROOM_COPY, keep_added
 from xihe_blender.io.outputs import RunOutputs
@@ -240,3 +242,31 @@ def test_export_light_has_moved_and_added_objects_also_from_the_lit_scene(scene,
     assert of_room == of_lit and of_room.keys() == {"Ball", "Board", "New"}
     at_run = lights_asked(read_results(folder), folder, LightsAsked(scene.frame_current, objects=("Ball",)))
     assert np.abs(np.reshape(of_lit["Ball"], (9, 3)) - at_run[0].light.sh).max() > 0.01
+
+
+def test_in_the_lit_scene_the_panel_has_the_switches_and_the_moved_objects_of_the_room(scene, monkeypatch):
+    bpy.data.objects["Ball"].location.x += 0.4
+    bpy.context.view_layer.update()
+    assert bpy.ops.xihe.update_light() == bpy.ops.xihe.show_lit() == {"FINISHED"}
+    said = []
+    monkeypatch.setattr(panels, "sentence", lambda _context, _layout, words, **_: said.append(words))
+    monkeypatch.setattr(panels, "is_narrow", lambda _context: False)
+    shown, layout = [], MagicMock()
+    layout.prop = lambda owner, name, **_: shown.append((name, owner.id_data.name))
+    layout.row.return_value = layout.column.return_value = layout.split.return_value = layout
+    with bpy.context.temp_override(scene=lit_scene()):
+        for panel in (panels.XIHE_PT_apply, panels.XIHE_PT_results):
+            panel.draw(SimpleNamespace(layout=layout), bpy.context)
+    assert {*shown} == {("follows_objects", scene.name), ("wipe", scene.name)}
+    assert any(words.startswith("'Ball' was moved or added since") for words in said)
+
+
+def test_a_wipe_in_the_lit_scene_stays_at_its_frame(scene):
+    assert bpy.ops.xihe.show_comparison() == bpy.ops.xihe.show_lit() == {"FINISHED"}
+    lit, picture = lit_scene(), image_named(COMPARISON_NAME)
+    scene.frame_set(1)
+    lit.frame_set(5)
+    for shown, frame in ((lit, 5), (scene, 1)):
+        with bpy.context.temp_override(scene=shown):
+            scene.xihe.wipe = 0.1 * frame
+        assert picture[FRAME] == frame

@@ -28,7 +28,7 @@ from xihe_blender.addon.look_operators import advice_for, other_cameras
 from xihe_blender.addon.planning_operators import calibration_line, known_times
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import RUN_IS_GONE, found_folder, last_run, other_unit
-from xihe_blender.apply.datablocks import moved_positions
+from xihe_blender.apply.datablocks import moved_positions, room_of
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.formats import format_duration
@@ -334,7 +334,7 @@ class XIHE_PT_apply(StagePanel, bpy.types.Panel):
         both.operator("xihe.apply_light")
         row = both.row(align=True)
         row.operator("xihe.remove_light")
-        row.prop(context.scene.xihe, "follows_objects", text="", icon="CON_FOLLOWTRACK")
+        row.prop(room_of(context.scene).xihe, "follows_objects", text="", icon="CON_FOLLOWTRACK")
 
 
 class XIHE_PT_results(StagePanel, bpy.types.Panel):
@@ -380,7 +380,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         if run.recording is None:
             row = layout.row(align=True)
             row.operator("xihe.show_comparison", text="Compare")
-            row.prop(settings, "wipe", slider=True)
+            row.prop(room_of(context.scene).xihe, "wipe", slider=True)
         _draw_looks(context, layout)
         row = layout.row(align=True)
         row.operator("xihe.save_side_by_side", text="Save Video")
@@ -426,7 +426,7 @@ def shown_warnings(run: RunResults) -> list[str]:
 
 def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     """What is known of the light at objects that were moved since the run, and that all below is of the run."""
-    moved = moved_positions(context.scene)
+    moved = moved_positions(room_of(context.scene))
     for name, (coverage, error) in moved.items():
         expected = "" if error is None else f", expected error {error:.3f}"
         words = f"{name!r} was moved or added since: coverage {coverage:.0%}{expected}"

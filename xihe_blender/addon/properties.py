@@ -9,7 +9,7 @@ import bpy
 from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.addon.runs_folder import found_folder, last_part
-from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, placement_map
+from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, placement_map, room_of
 from xihe_blender.errors import UserError
 
 LAST_FRAME = 1048574
@@ -46,7 +46,8 @@ def _wipe_changed(settings: XiheSceneSettings, context: bpy.types.Context) -> No
     if image_named(COMPARISON_NAME) is None or not (folder / "results.json").is_file():
         return
     try:
-        show_comparison(folder, scene.frame_current, settings.wipe)
+        shown = context.scene if room_of(context.scene) == scene else scene
+        show_comparison(folder, shown.frame_current, settings.wipe)
     except UserError as error:
         context.window_manager.xihe.error = str(error)
 
