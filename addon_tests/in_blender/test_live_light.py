@@ -14,6 +14,7 @@ from tiny_scenes import key, opened, sphere
 
 from xihe_blender.addon import live_light, panels
 from xihe_blender.addon.results_in_blender import apply_results
+from xihe_blender.apply.applied_lights import lights_of_scene
 from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, LightOf, image_named, lit_scene, moved_positions
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_scene import ROOM_COPY, keep_added
@@ -25,6 +26,7 @@ from xihe_blender.previs.kept_session import open_kept_session
 from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.key_light import rest_of
+from xihenet.panorama import evaluate_panorama
 
 
 @pytest.fixture
@@ -270,3 +272,17 @@ def test_a_wipe_in_the_lit_scene_stays_at_its_frame(scene):
         with bpy.context.temp_override(scene=shown):
             scene.xihe.wipe = 0.1 * frame
         assert picture[FRAME] == frame
+
+
+def test_pictures_of_the_light_of_moved_and_added_objects_stay_those_of_their_place(scene):
+    bpy.data.objects["Ball"].location.x += 0.4
+    sphere(scene, "New", (0.3, 0.6, 1.2), 0.1, None, virtual_collection(scene))
+    bpy.context.view_layer.update()
+    assert bpy.ops.xihe.update_light() == {"FINISHED"}
+    scene.frame_set(0)
+    assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"FINISHED"}
+    lights = lights_of_scene(scene, LightsAsked(scene.frame_current, units="scene"))
+    assert [light.object_name for light in lights] == ["Ball", "Board", "New"]
+    for light in lights:
+        picture = np.array(bpy.data.images[f"Xihe Light {light.object_name}"].pixels).reshape(-1, 4)
+        assert picture[:, :3].mean() == pytest.approx(evaluate_panorama(light.light.sh, 64, 128).mean(), rel=1e-3)

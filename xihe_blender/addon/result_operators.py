@@ -16,7 +16,7 @@ from xihe_blender.addon import choices, polls
 from xihe_blender.addon.failures import FAILURES, Action, failed, format_error
 from xihe_blender.addon.modal_job import TICK_S, ModalJob
 from xihe_blender.addon.properties import last_run_folder
-from xihe_blender.apply.datablocks import COMPARISON_NAME, LightOf, applied_worlds, image_named, room_of
+from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, room_of
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress, run_blocking
 
@@ -169,7 +169,7 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        from xihe_blender.apply.applied_lights import lights_of_scene
+        from xihe_blender.apply.applied_lights import lights_after_run
         from xihe_blender.io.run_lights import LightsAsked, lights_asked, write_lights
         from xihe_blender.io.run_results import read_results
 
@@ -178,10 +178,7 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
         # Beyond the path's ends, and between its frames, the light is that of the frame before.
         frames = [frame.frame for frame in results.frames]
         frame = max((one for one in frames if one <= scene.frame_current), default=min(frames))
-        room = room_of(scene)
-        moved = [name for name, world in applied_worlds(room).items() if (of := LightOf.read(world)) and of.live]
-        now = {light.object_name: light for light in lights_of_scene(room, LightsAsked(frame, objects=tuple(moved)))}
-        of_run = lights_asked(results, folder, LightsAsked(frame))
+        now, of_run = lights_after_run(room_of(scene), frame), lights_asked(results, folder, LightsAsked(frame))
         # Those that are left were added after the run.
         lights = [*(now.pop(light.object_name, light) for light in of_run), *now.values()]
         return f"Saved {write_lights(lights, self.target, folder / 'exports' / self.target)[-1].parent}"

@@ -18,6 +18,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.addon.runs_folder import other_unit
+from xihe_blender.apply.applied_lights import lights_after_run
 from xihe_blender.apply.datablocks import (
     COMPARISON_NAME,
     FRAME,
@@ -241,10 +242,16 @@ def _key(world: bpy.types.World, curve: str, frame: int, values: list[float]) ->
 
 
 def show_images(scene: bpy.types.Scene, folder: Path) -> None:
-    """Make the images of a run show the current frame of `scene`."""
+    """Make the images of a run show the current frame of `scene`.
+
+    Objects that were moved or added since have the light of where they are.
+    """
     results, frame = read_results(folder), scene.frame_current
-    for name in lit_here(scene, results):
-        if results.lights[name]:
+    now = lights_after_run(scene, frame, "scene")
+    for name in dict.fromkeys([*lit_here(scene, results), *now]):
+        if name in now:
+            show_light(name, now[name].light.sh)
+        elif results.lights[name]:
             show_light(name, light_in_use(results, name, frame) / results.settings.reference_exposure)
         else:
             # Nothing was ever in view, and a picture of an earlier run would say otherwise.
