@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from previs_runs import counted_renders
 from shown_lights import keyed
-from tiny_scenes import key, opened, sphere
+from tiny_scenes import key, opened, saved, sphere
 
 from xihe_blender.addon import live_light, panels
 from xihe_blender.addon.results_in_blender import apply_results
@@ -18,6 +18,7 @@ from xihe_blender.apply.applied_lights import lights_of_scene
 from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, LightOf, image_named, lit_scene, moved_positions
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.lit_scene import ROOM_COPY, keep_added
+from xihe_blender.cli.main import main
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_lights import LightsAsked, lights_asked
 from xihe_blender.io.run_results import read_results
@@ -286,3 +287,14 @@ def test_pictures_of_the_light_of_moved_and_added_objects_stay_those_of_their_pl
     for light in lights:
         picture = np.array(bpy.data.images[f"Xihe Light {light.object_name}"].pixels).reshape(-1, 4)
         assert picture[:, :3].mean() == pytest.approx(evaluate_panorama(light.light.sh, 64, 128).mean(), rel=1e-3)
+
+
+def test_a_file_that_was_saved_in_the_lit_scene_is_exported_as_one_saved_in_the_room(scene, tmp_path):
+    written = []
+    for action, name in (("show_lit", "lit"), ("show_room", "room")):
+        assert getattr(bpy.ops.xihe, action)() == {"FINISHED"}
+        file, out = saved(tmp_path / f"{name}.blend"), tmp_path / name
+        assert (opened(file).name == "Xihe Lit") is (name == "lit")
+        assert main(["export", "--from", str(file), "--to", "three", "--out", str(out)]) == 0
+        written.append((out / "three.json").read_text())
+    assert written[0] == written[1]
