@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from previs_runs import CAPTURED, counted_renders, files_below, unfinished_files
 from scene_snapshot import nothing_changes
-from tiny_scenes import opened
+from tiny_scenes import opened, phone
 
 from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera, has_anything
@@ -148,6 +148,19 @@ def test_a_turned_camera_that_is_not_turned_sees_what_the_phone_sees(scene):
     np.testing.assert_allclose(turned.world_from_camera, own.world_from_camera, atol=1e-6)
     np.testing.assert_allclose(turned.plane_depth_m, own.plane_depth_m, rtol=1e-3)
     assert turned.intrinsics == own.intrinsics and not [o for o in bpy.data.objects if o.name.startswith("Xihe Turned")]
+
+
+def test_a_turned_camera_has_the_lens_that_the_path_has_there(scene):
+    cameras = [phone(scene, (0, -1, 1), (0, 0, 0.85), name) for name in ("First", "Hidden", "Last")]
+    cameras[1].hide_render = True
+    for camera, lens, frame in zip(cameras, (20, 30, 40), (2, 3, 4), strict=True):
+        camera.data.lens = lens
+        scene.timeline_markers.new("", frame=frame).camera = camera
+    with open_scanner(scene, RenderSettings((32, 24), samples=1)) as scanner:
+        own = [scanner.move_to(frame)[0] for frame in (1, 2, 3, 4)]
+        with turned_camera(scanner) as capture:
+            turned = [capture(frame, np.eye(4)).intrinsics for frame in (1, 2, 3, 4)]
+    assert turned == own and own[0] == own[2] != own[3]
 
 
 @pytest.fixture

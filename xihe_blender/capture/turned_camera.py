@@ -26,14 +26,16 @@ def turned_camera(scanner: CyclesScanner) -> Iterator[Callable[[int, ArrayF64], 
     The scanner looks along its path again afterwards, except that markers no longer switch its cameras.
     """
     scene, metres = scanner.scene, metres_per_unit(scanner.scene)
-    switches = {marker.frame: marker.camera for marker in scene.timeline_markers if marker.camera is not None}
+    bound = [marker for marker in scene.timeline_markers if marker.camera is not None]
+    switches = {marker.frame: marker.camera for marker in bound if not marker.camera.hide_render}
     own = scene.camera
     # In no collection: those are the user's, and Cycles needs none.
     turned = bpy.data.objects.new(NAME, own.data)
 
     def capture(frame: int, world_from_camera: ArrayF64) -> RgbdFrame:
-        before = [at for at in switches if at <= frame]
-        turned.data = switches[max(before)].data if before else own.data
+        # As Blender does it: the first one is also that of the frames before it.
+        reached = max((at for at in switches if at <= frame), default=min(switches, default=None))
+        turned.data = own.data if reached is None else switches[reached].data
         pose = world_from_camera.copy()
         pose[:3, 3] /= metres
         turned.matrix_world = Matrix(pose)
