@@ -1,7 +1,9 @@
 """A run in a second Blender: one that ends without a word, of a scene that was renamed, and what its window shows."""
 
+import platform
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import bpy
@@ -49,7 +51,12 @@ def test_a_run_of_another_blender_has_ended_when_it_is_stopped(tmp_path):
     piped = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen([sys.executable, "-c", HOLDS_A_LOCK, str(run.outputs.lock)], **piped) as other:
         assert other.stdout.readline() == "True\n"
-        write_json(run.outputs.progress, as_json(RunState(0, 1, "", {}, pid=other.pid, error="")))
+        state = RunState(0, 1, "", {}, pid=other.pid, host="elsewhere", error="")
+        write_json(run.outputs.progress, as_json(state))
+        with pytest.raises(UserError, match="is under way in another Blender: stop it there"):
+            run.discard()
+        assert run.is_under_way and other.poll() is None and run.outputs.request.exists()
+        write_json(run.outputs.progress, as_json(replace(state, host=platform.node())))
         assert run.is_under_way
         run.stop()
         assert not run.is_under_way

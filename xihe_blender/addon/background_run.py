@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -68,9 +69,13 @@ class RunRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class RunState(Progress):
-    """How far the second Blender is, as work/progress.json holds it: `error` says why it could not go on."""
+    """How far the second Blender is, as work/progress.json holds it: `error` says why it could not go on.
+
+    `host` is the computer whose process `pid` it is: others may see the folder too.
+    """
 
     pid: int
+    host: str
     error: str
 
 
@@ -152,13 +157,13 @@ class BackgroundRun:
         _let_go_first(self.process.pid)
 
     def stop(self) -> None:
-        """End the second Blender at once; what it has finished is kept, file by file."""
+        """End the second Blender at once; what it has finished is kept, file by file. Not one of another computer."""
         state = self.state
         if self.process is not None:
             # Not terminate: Blender 5 then waits for the script's end.
             self.process.kill()
             self.process.wait()
-        elif self.is_under_way and state is not None:
+        elif self.is_under_way and state is not None and state.host == platform.node():
             with contextlib.suppress(OSError):
                 # On Windows any signal ends a process at once.
                 os.kill(state.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
@@ -167,8 +172,13 @@ class BackgroundRun:
                 time.sleep(0.02)
 
     def discard(self) -> None:
-        """Stop it, if it is under way, and delete its folder, and the folder for runs if it was the last."""
+        """Stop it, if it is under way, and delete its folder, and the folder for runs if it was the last.
+
+        UserError if it cannot be stopped from here.
+        """
         self.stop()
+        if self.is_under_way:
+            raise UserError(f"{self.folder} is under way in another Blender: stop it there, and discard it then")
         shutil.rmtree(self.folder, ignore_errors=True)
         remove_if_empty(self.folder.parent)
 

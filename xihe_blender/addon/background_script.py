@@ -7,6 +7,7 @@ beside the copy after each step of the run, and holds work/lock while it lives, 
 from __future__ import annotations
 
 import os
+import platform
 import sys
 import time
 from pathlib import Path
@@ -41,9 +42,11 @@ def main(copy: Path, *packages: str) -> None:
         return  # Another Blender is at it.
 
     def say(progress: Progress, error: str = "") -> None:
-        write_json(run.outputs.progress, as_json(RunState(**vars(progress), pid=os.getpid(), error=error)))
+        state = RunState(**vars(progress), pid=os.getpid(), host=platform.node(), error=error)
+        write_json(run.outputs.progress, as_json(state))
 
     last = Progress(0, 1, "surveying the path")
+    say(last)
     try:
         choices: dict[str, Any] = run.request.choices
         scene, settings = bpy.data.scenes[run.request.scene], settings_of(choices)
