@@ -306,6 +306,16 @@ def test_the_oldest_recordings_of_stray_scanner_have_a_line_for_each_picture_and
     assert "Times are not known: 60 frames a second are assumed." in capture.notes
 
 
+def test_corrected_cameras_of_polycam_have_the_size_of_the_others_where_they_say_none(tmp_path):
+    frames = walk(SMALL, 2)
+    for path in (as_polycam(tmp_path, frames) / "keyframes" / "corrected_cameras").iterdir():
+        said = json.loads(path.read_text())
+        path.write_text(json.dumps({name: value for name, value in said.items() if name not in ("width", "height")}))
+    for read, made in zip(open_capture(tmp_path), frames, strict=True):
+        assert vars(read.intrinsics) == pytest.approx(vars(made.intrinsics))
+        np.testing.assert_allclose(read.world_from_camera, made.world_from_camera, atol=1e-6)
+
+
 def test_of_nerfstudio_it_is_said_that_z_is_taken_to_be_up_unless_up_is_given(tmp_path):
     as_nerfstudio(tmp_path, walk(SMALL, 1))
     assert [any("give --up y" in note for note in open_capture(tmp_path, up).notes) for up in (None, "y")] == [1, 0]

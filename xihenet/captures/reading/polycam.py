@@ -2,8 +2,9 @@
 
 A camera's file holds t_00 to t_23, row by row, camera to world: the camera looks along -Z with +Y up, the world is
 ARKit's, +Y up. Intrinsics are for the picture's size. Depth is 16-bit, in millimetres, smaller than colour; confidence
-is 0, 127 or 255. Where Polycam has corrected the cameras, those and their pictures are taken alone, since the two sets
-do not fit together. Names are times, taken to be in microseconds.
+is 0, 54 or 127, and 255. Where Polycam has corrected the cameras, those and their pictures are taken alone, since the
+two sets do not fit together; but since 2025 only the others say how large the pictures are. Names are times, taken to
+be in microseconds.
 """
 
 from __future__ import annotations
@@ -67,7 +68,10 @@ def _camera(path: Path, up: str) -> FrameCamera:
         if not isinstance(content, dict):
             raise ValueError("expected a JSON object")
         k = (number_in(content, name) for name in ("fx", "fy", "cx", "cy"))
-        intrinsics = Intrinsics(side_in(content, "width"), side_in(content, "height"), *k)
+        sides, uncorrected = content, path.parents[1] / "cameras" / path.name
+        if "width" not in content and uncorrected.is_file() and isinstance(other := read_json(uncorrected), dict):
+            sides = other
+        intrinsics = Intrinsics(side_in(sides, "width"), side_in(sides, "height"), *k)
         rows = [[number_in(content, f"t_{row}{column}") for column in range(4)] for row in range(3)]
         if np.abs(rows).max() > FARTHEST_M:
             raise ValueError(f"expected a place within {FARTHEST_M:g} m of the origin")
