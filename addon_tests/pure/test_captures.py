@@ -37,6 +37,7 @@ from xihenet.captures.reading import READERS
 from xihenet.captures.reading.values import rotation_of
 from xihenet.captures.replay import never_in_view, replay
 from xihenet.captures.writing.pictures import in_y_up
+from xihenet.records import Intrinsics
 
 AT = (0.4, 0.3, -0.5)
 Y_UP = ("Record3D", "Stray Scanner", "Polycam")
@@ -81,6 +82,15 @@ def test_pictures_of_tums_own_size_are_read_with_its_own_intrinsics(tmp_path):
     assert not (tmp_path / "camera.json").exists()  # It stands beside other intrinsics than the benchmark's.
     assert read.intrinsics == made.intrinsics and (read.srgb_u8 == made.srgb_u8).all()
     np.testing.assert_allclose(read.plane_depth_m, made.plane_depth_m, atol=6e-4)
+
+
+def test_pictures_of_another_size_than_tums_are_told_to_bring_their_own_camera(tmp_path):
+    k = Intrinsics(848, 480, 600.0, 600.0, 424.0, 240.0)
+    as_tum(tmp_path, walk(k, 1))
+    assert vars(next(iter(open_capture(tmp_path))).intrinsics) == pytest.approx(vars(k))
+    (tmp_path / "camera.json").unlink()
+    with pytest.raises(ValueError, match=r"have 848x480 pixels.*640x480\. For another camera, write its"):
+        open_capture(tmp_path)
 
 
 def test_the_light_is_that_of_the_session_itself(tmp_path):

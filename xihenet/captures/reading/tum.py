@@ -14,17 +14,20 @@ from pathlib import Path
 
 import numpy as np
 
-from xihenet.captures.capture import Capture, inside
+from xihenet.captures.capture import Capture, CapturedFrame, inside
 from xihenet.captures.reading.phone_frame import left_out, picture_frame
 from xihenet.captures.reading.values import numbers, of_length_1, pose_numbers, pose_of
 from xihenet.io.frame_files import BLENDER_FROM_UP, camera_facts, frame_camera
+from xihenet.io.image_files import read_plane_depth
 from xihenet.io.json_files import named, read_json
+from xihenet.io.picture_size import same_field
 from xihenet.records import ArrayF64, Intrinsics
 
 FILES = ("rgb.txt", "depth.txt", "groundtruth.txt")
 AT_MOST_S = 0.02
 METRES_PER_UNIT = 1 / 5000
 CAMERA, CAMERA_KEYS = "camera.json", ("width", "height", "fx", "fy", "cx", "cy")
+OF_ANOTHER = f"For another camera, write its {', '.join(CAMERA_KEYS)} to {CAMERA}, beside {FILES[0]}"
 # The middle of the first pixel is at 0.5 here and at 0 there.
 INTRINSICS = Intrinsics(640, 480, 525.0, 525.0, 320.0, 240.0)
 
@@ -44,7 +47,7 @@ def read(folder: Path, up: str | None) -> Capture:
     if not len(pose_s):
         raise ValueError(f"{folder / FILES[2]}: expected finite numbers, and tracking was lost in all lines")
     intrinsics, notes = _intrinsics(folder / CAMERA)
-    frames = []
+    frames: list[CapturedFrame] = []
     for number, (time_s, (name,)) in enumerate(colours, start=1):
         nearest = int(np.abs(depth_s - time_s).argmin())
         with named(folder / FILES[2]):
@@ -56,6 +59,8 @@ def read(folder: Path, up: str | None) -> Capture:
             or not (colour.is_file() and plane_depth.is_file())
         ):
             continue
+        if notes and not frames:
+            _check_size(folder, *read_plane_depth(plane_depth, METRES_PER_UNIT)[1])
         camera = frame_camera(intrinsics, pose.tolist(), is_opencv=True, up=up)
         frames.append(picture_frame(number, time_s - colours[0][0], camera, colour, plane_depth, METRES_PER_UNIT))
     if not frames:
@@ -67,10 +72,17 @@ def read(folder: Path, up: str | None) -> Capture:
 def _intrinsics(path: Path) -> tuple[Intrinsics, tuple[str, ...]]:
     """Those of camera.json, or the benchmark's and a note that says so."""
     if not path.is_file():
-        return INTRINSICS, ("Intrinsics are those that the benchmark takes for all of its cameras.",)
+        return INTRINSICS, (f"Intrinsics are those that the benchmark takes for all of its cameras. {OF_ANOTHER}.",)
     content = read_json(path)
     with named(path):
         return camera_facts(content, CAMERA_KEYS)[0], ()
+
+
+def _check_size(folder: Path, width: int, height: int) -> None:
+    k = INTRINSICS
+    if not same_field(width, height, k.width, k.height):
+        said = f"pictures have {width}x{height} pixels, and the benchmark's {k.width}x{k.height}"
+        raise ValueError(f"{folder}: its {said}. {OF_ANOTHER}")
 
 
 def _lines(path: Path, n_values: int) -> list[tuple[float, list[str]]]:
