@@ -326,6 +326,13 @@ def test_corrected_cameras_of_polycam_have_the_size_of_the_others_where_they_say
         np.testing.assert_allclose(read.world_from_camera, made.world_from_camera, atol=1e-6)
 
 
+def test_a_name_without_an_ending_is_that_of_a_png_as_of_instant_ngp(tmp_path):
+    path = as_nerfstudio(tmp_path, walk(SMALL, 2)) / "transforms.json"
+    path.write_text(path.read_text().replace('"file_path": "images/1.png"', '"file_path": "images/1"'))
+    capture = open_capture(tmp_path)
+    assert [frame.picture.name for frame in capture.frames] == ["1.png", "2.png"]
+
+
 def test_of_nerfstudio_it_is_said_that_z_is_taken_to_be_up_unless_up_is_given(tmp_path):
     as_nerfstudio(tmp_path, walk(SMALL, 1))
     assert [any("give --up y" in note for note in open_capture(tmp_path, up).notes) for up in (None, "y")] == [1, 0]

@@ -76,6 +76,8 @@ def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
     if not isinstance(named[0], str):
         raise ValueError("file_path is missing")
     colour = inside(folder, named[0])
+    if not (colour.suffix or colour.is_file()):  # As instant-ngp has it, also for NeRFCapture
+        colour = inside(folder, f"{named[0]}.png")
     plane_depth = inside(folder, named[1]) if isinstance(named[1], str) else None
     is_there = colour.is_file() and plane_depth is not None and plane_depth.is_file()
     return colour, plane_depth if is_there else None
