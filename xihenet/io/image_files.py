@@ -40,7 +40,10 @@ def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[in
     """
     with _loading(path) as image:
         if not image.mode.startswith("I"):
-            raise ValueError(f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}")
+            raise ValueError(
+                f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}: "
+                "save distances as whole numbers, such as millimetres, in a PNG of 16 bits"
+            )
     rows, columns = picked_pixels(image.height, image.width, MOST_POINTS)
     picked, top = [], 0
     for strip in _strips(image):
