@@ -134,6 +134,8 @@ def test_thetas_that_differ_from_scene_to_scene_are_told_from_least_to_greatest(
 
 def test_so_few_scenes_say_how_little_they_hold():
     assert "One scene says nothing about others" in answers.what_it_stands_on(batch(1))
+    assert "With 4 trials of each estimator no difference is called clear" in answers.what_it_stands_on(batch(1))
+    assert "is called clear" not in answers.what_it_stands_on(batch(1, seeds=(0, 1, 2)))
     assert "at most 75" in answers.what_it_stands_on(batch(3))
     assert "at most" not in answers.what_it_stands_on(batch(8))
     pixels = {"<far>": 27.4, "near": 2000.0, "small": 99.0, "hidden": None}

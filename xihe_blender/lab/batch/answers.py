@@ -193,7 +193,12 @@ def what_it_stands_on(trials: Sequence[Trial]) -> str:
         words += f" In {format_list(small)} virtual objects cover fewer than {FEW_PIXELS} pixels of a picture"
         words += ", too few to judge pictures by."
     if len(scenes) == 1:
-        return f"{words} One scene says nothing about others: intervals are over the trials in it."
+        words += " One scene says nothing about others: intervals are over the trials in it."
+        n_pairs = len(seeds) * len(phones)
+        if held_at_most(n_pairs) < CONFIDENCE:
+            words += f" With {format_count(n_pairs, 'trial')} of each estimator no difference is called clear: give"
+            words += " more of --seeds."
+        return words
     if (held := held_at_most(len(scenes))) < CONFIDENCE:
         return (
             f"{words} Intervals over {len(scenes)} scenes hold the truth in at most {format_percent(held)} of all "
