@@ -270,8 +270,8 @@ def test_a_folder_around_a_recording_says_which_one_is_in_it(tmp_path, name):
 
 
 def test_record3ds_export_of_exr_is_told_to_be_exported_as_r3d(tmp_path):
-    (tmp_path / "depth").mkdir()
-    for name in ("metadata.json", "depth/0.exr"):
+    for name in ("metadata.json", "rgb/0.jpg", "depth/0.exr"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     with pytest.raises(ValueError, match=r"exports as EXR and JPG: export the recording as \.r3d instead"):
         open_capture(tmp_path)

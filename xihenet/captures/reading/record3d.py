@@ -51,7 +51,7 @@ def is_in(path: Path) -> bool:
 
 
 def _is_export(folder: Path) -> bool:
-    return (folder / OF_EXPORT).is_file() and any(folder.glob(EXPORTED_DEPTH))
+    return (folder / OF_EXPORT).is_file() and (folder / "rgb").is_dir() and any(folder.glob(EXPORTED_DEPTH))
 
 
 def read(path: Path, up: str | None) -> Capture:
