@@ -490,7 +490,10 @@ NERFSTUDIO = {
     "a pose that mirrors": (in_frames(1, transform_matrix=MIRRORED.tolist()), "frame 1"),
     "no colour": (in_frames(1, file_path=None), "file_path is missing"),
     "a picture elsewhere": (in_frames(1, file_path="../../etc/passwd"), "lies outside"),
-    "no colour at all": (in_frames(3, file_path="images/elsewhere.png"), "no frame has both"),
+    "no colour at all": (
+        in_frames(3, file_path="images/elsewhere.png"),
+        "no frame has both a file_path and a depth_file_path that are there, and the first has 'images/elsewhere.png'",
+    ),
     "depth elsewhere": (in_frames(1, depth_file_path="/etc/passwd"), "lies outside"),
     "no depth at all": (in_frames(3, depth_file_path=None), "record with depth"),
 }

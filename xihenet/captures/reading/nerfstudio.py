@@ -57,8 +57,9 @@ def read(folder: Path, up: str | None) -> Capture:
             camera.world_from_camera[:3, 3] /= applied_scale
         frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, metres_per_unit))
     if not frames:
+        wanted = f"{entries[0].get('file_path')!r:.80} and {_depth_name(entries[0])!r:.80}"
         raise ValueError(
-            f"{path}: no frame has both a file_path and a depth_file_path that are there: "
+            f"{path}: no frame has both a file_path and a depth_file_path that are there, and the first has {wanted}: "
             "record with depth, and copy all files"
         )
     notes: tuple[str, ...] = (f"Times are not known: {FPS:g} frames a second are assumed.",)
@@ -72,7 +73,7 @@ def read(folder: Path, up: str | None) -> Capture:
 
 def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
     """Colour and depth; None for depth where one of the two is missing."""
-    named = entry.get("file_path"), next((entry[name] for name in DEPTH if name in entry), None)
+    named = entry.get("file_path"), _depth_name(entry)
     if not isinstance(named[0], str):
         raise ValueError("file_path is missing")
     colour = inside(folder, named[0])
@@ -81,6 +82,10 @@ def _files(folder: Path, entry: dict[str, Any]) -> tuple[Path, Path | None]:
     plane_depth = inside(folder, named[1]) if isinstance(named[1], str) else None
     is_there = colour.is_file() and plane_depth is not None and plane_depth.is_file()
     return colour, plane_depth if is_there else None
+
+
+def _depth_name(entry: dict[str, Any]) -> Any:
+    return next((entry[name] for name in DEPTH if name in entry), None)
 
 
 def _intrinsics(values: dict[str, Any]) -> Intrinsics:
