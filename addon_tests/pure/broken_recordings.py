@@ -495,7 +495,7 @@ NERFSTUDIO = {
         "no frame has both a file_path and a depth_file_path that are there, and the first has 'images/elsewhere.png'",
     ),
     "depth elsewhere": (in_frames(1, depth_file_path="/etc/passwd"), "lies outside"),
-    "no depth at all": (in_frames(3, depth_file_path=None), "record with depth"),
+    "no depth at all": (in_frames(3, depth_file_path=None), "and no name of depth: record with depth"),
 }
 TUM = {
     **wired("rgb/0.033333.png", "depth/0.033333.png", missing="without colour, depth or a pose left out"),

@@ -57,7 +57,9 @@ def read(folder: Path, up: str | None) -> Capture:
             camera.world_from_camera[:3, 3] /= applied_scale
         frames.append(picture_frame(number, (number - 1) / FPS, camera, colour, plane_depth, metres_per_unit))
     if not frames:
-        wanted = f"{entries[0].get('file_path')!r:.80} and {_depth_name(entries[0])!r:.80}"
+        depth_name = _depth_name(entries[0])
+        of_depth = "no name of depth" if depth_name is None else f"{depth_name!r:.80}"
+        wanted = f"{entries[0].get('file_path')!r:.80} and {of_depth}"
         raise ValueError(
             f"{path}: no frame has both a file_path and a depth_file_path that are there, and the first has {wanted}: "
             "record with depth, and copy all files"
