@@ -475,6 +475,7 @@ NERFSTUDIO = {
     "a list": (put(TRANSFORMS, "[]"), "expected frames"),
     "a scale of 0": (with_entries(TRANSFORMS, applied_scale=0), "applied_scale: expected a positive number"),
     "units of 0": (with_entries(TRANSFORMS, integer_depth_scale=0), "expected metres of a unit of depth, such as"),
+    "units that are text": (with_entries(TRANSFORMS, depth_unit_scale_factor="mm"), "transforms.json: depth_unit"),
     "a fish-eye": (with_entries(TRANSFORMS, camera_model="OPENCV_FISHEYE"), "'OPENCV_FISHEYE' is no pinhole camera"),
     "a fish-eye of instant-ngp": (with_entries(TRANSFORMS, is_fisheye=True), "a fish-eye is no pinhole camera"),
     "no fish-eye": (with_entries(TRANSFORMS, is_fisheye=False), NOTE + "Times are not known"),

@@ -39,13 +39,13 @@ def read(folder: Path, up: str | None) -> Capture:
     entries = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path}: expected frames, a list with at least one")
-    applied_scale = number_in(content, "applied_scale", 1.0)
-    if not 1e-6 < applied_scale < 1e6:
-        raise ValueError(f"{path}: applied_scale: expected a positive number, got {applied_scale:g}")
     unit = next((name for name in METRES_PER_UNIT if name in content), METRES_PER_UNIT[0])
-    metres_per_unit = number_in(content, unit, 1e-3)
-    if not 1e-9 < metres_per_unit < 1e3:
-        raise ValueError(f"{path}: {unit}: expected metres of a unit of depth, such as 0.001, got {metres_per_unit:g}")
+    with named(path):
+        applied_scale, metres_per_unit = number_in(content, "applied_scale", 1.0), number_in(content, unit, 1e-3)
+        if not 1e-6 < applied_scale < 1e6:
+            raise ValueError(f"applied_scale: expected a positive number, got {applied_scale:g}")
+        if not 1e-9 < metres_per_unit < 1e3:
+            raise ValueError(f"{unit}: expected metres of a unit of depth, such as 0.001, got {metres_per_unit:g}")
     frames = []
     in_order = sorted(enumerate(entries, start=1), key=lambda one: by_numbers(str(one[1].get("file_path"))))
     for number, (place, entry) in enumerate(in_order, start=1):
