@@ -35,7 +35,7 @@ from xihe_blender.io.kept_files import DAMAGED, kept_record
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.compare_path import OBJECTS, kept_comparison
+from xihe_blender.previs.compare_path import LIT_BY, OBJECTS, kept_comparison
 from xihe_blender.previs.kept_session import OF_CHAIN, open_kept_session
 from xihe_blender.previs.prepare import positive_exposure
 from xihe_blender.previs.previs import previs
@@ -311,6 +311,16 @@ def test_panoramas_of_the_reference_light_that_are_gone_or_damaged_are_made_agai
     assert without_times(again) == without_times(finished.results)
     assert renders == {"Xihe Reference Probe": finished.renders.count("Xihe Reference Probe") / 5}
     assert np.array_equal(read_radiance(rendered), read_radiance(taken_over))
+
+
+def test_comparisons_of_other_lights_than_an_edge_service_gives_after_a_stop_are_made_again(finished, copied):
+    copied.results.unlink()
+    kept = json.loads(copied.compared(1).read_text())
+    kept["comparison"]["lattice"]["rmse"] = 9.0
+    copied.compared(1).write_text(json.dumps(kept | {LIT_BY: "the same room without an answer"}))
+    again, renders = run_again(copied)
+    assert without_times(again) == without_times(finished.results)
+    assert renders == {"Xihe Ground Truth": 1, "Xihe Lit": 2}
 
 
 def test_a_comparison_is_made_again_where_its_radiance_is_gone_or_of_before_it_had_the_share_of_objects(copied):

@@ -12,6 +12,7 @@ any light show the recording alone.
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from xihe_blender.compare.methods import Comparer, Comparison, OverRecording
 from xihe_blender.compare.side_by_side import save_film
 from xihe_blender.io.exr import write_radiance
 from xihe_blender.io.json_records import as_json, read_record
-from xihe_blender.io.kept_files import kept_record, read_kept
+from xihe_blender.io.kept_files import kept_json, kept_record, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_lights import as_surface_result
 from xihe_blender.io.run_results import ComparedFrame
@@ -42,6 +43,9 @@ from xihenet.records import ArrayF64, ArrayU8, ObjectLight
 OBJECTS = "objects"
 """Beside the radiance of each method: the share of each pixel that objects cover, by which metrics weigh."""
 
+LIT_BY = "lit_by"
+"""Beside a comparison that is kept: what lights it is of."""
+
 MOST_SEEN = 12
 """Captures in which surfaces are looked for, evenly spread: more show no more of a table."""
 
@@ -57,7 +61,8 @@ def compare_path(run: PreparedRun, chain: ChainResult) -> Job[dict[int, Compared
     compared, sources = yield from compare_frames(run, run.methods, lights, read, record)
     for frame in frames:
         if sources[frame] != frame:
-            compared[frame] = read(frame) or _take_over(run.outputs, sources[frame], frame)
+            kept = read(frame) if _is_lit_by(run.outputs, frame, lights[frame]) else None
+            compared[frame] = kept or _take_over(run.outputs, sources[frame], frame, lights[frame])
     return compared
 
 
@@ -76,7 +81,8 @@ def compare_frames(
     first: dict[tuple[Any, ...], int] = {}
     sources = {frame: first.setdefault(_made_from(run, frame, own), frame) for frame, own in lights.items()}
     own = [frame for frame, source in sources.items() if source == frame]
-    done = {frame: one for frame in own if (one := read(frame)) is not None}
+    of_these = [frame for frame in own if _is_lit_by(run.outputs, frame, lights[frame])]
+    done = {frame: one for frame in of_these if (one := read(frame)) is not None}
     missing = [frame for frame in own if frame not in done]
     if not missing:
         return done, sources
@@ -86,14 +92,35 @@ def compare_frames(
         yield from _render_ground_truths(run, missing, comparer)
         for number, frame in enumerate(missing):
             yield run.progress("methods", number / len(missing), f"comparing frame {frame}")
-            kept, truth = run.outputs.compared(frame), methods.load_ground_truth(run.outputs.ground_truth(frame))
+            truth = methods.load_ground_truth(run.outputs.ground_truth(frame))
             captured, surfaces = load_frame(run.outputs.capture(frame)), surfaces_known(run, frame, comparer)
             of_all = {name: lights[frame].get(name, dark) for name in names}
             one = record(frame, comparer.render_methods(captured, of_all, truth, surfaces), done)
-            write_json(kept, as_json(one))
+            _keep(run.outputs, frame, one, lights[frame])
             run.outputs.ground_truth(frame).unlink()
-            done[frame] = read_record(type(one), kept)
+            done[frame] = read_record(type(one), run.outputs.compared(frame))
     return done, sources
+
+
+def _keep(outputs: RunOutputs, frame: int, compared: object, lights: Lights) -> None:
+    write_json(outputs.compared(frame), as_json(compared) | {LIT_BY: _digest(lights)})
+
+
+def _is_lit_by(outputs: RunOutputs, frame: int, lights: Lights) -> bool:
+    """Whether what is kept of `frame` is of these lights: an edge service may have answered otherwise before a stop.
+
+    Earlier versions did not note it.
+    """
+    return kept_json(outputs.compared(frame), lambda kept: dict(kept).get(LIT_BY)) in (None, _digest(lights))
+
+
+def _digest(lights: Lights) -> str:
+    """Of the lights by method, but for what two computers may differ in."""
+    parts = hashlib.blake2b(digest_size=16)
+    for method, of_method in lights.items():
+        for name, light in of_method.items():
+            parts.update(f"{method}\n{name}\n".encode() + (light.sh.round(5) + 0.0).tobytes())
+    return parts.hexdigest()
 
 
 def kept_comparison(outputs: RunOutputs, frame: int) -> ComparedFrame | None:
@@ -124,7 +151,7 @@ def _made_from(run: PreparedRun, frame: int, lights: Lights) -> tuple[Any, ...]:
     return run.reuse.comparison(frame, *pixels, ",".join(lights).encode(), repr(room).encode(), *of_all)
 
 
-def _take_over(outputs: RunOutputs, source: int, frame: int) -> ComparedFrame:
+def _take_over(outputs: RunOutputs, source: int, frame: int, lights: Lights) -> ComparedFrame:
     compared = read_record(ComparedFrame, outputs.compared(source))
     for kept, path in zip(*(_radiance(outputs, compared, one) for one in (source, frame)), strict=True):
         copy_whole(kept, path)
@@ -133,7 +160,7 @@ def _take_over(outputs: RunOutputs, source: int, frame: int) -> ComparedFrame:
         copy_whole(outputs.picture(kind, source), outputs.picture(kind, frame))
     pictures = {kind: outputs.relative(outputs.picture(kind, frame)) for kind in compared.pictures}
     taken_over = replace(compared, pictures=pictures, comparison_render_s=0.0, comparison_same_as=source)
-    write_json(outputs.compared(frame), as_json(taken_over))
+    _keep(outputs, frame, taken_over, lights)
     return taken_over
 
 
