@@ -298,3 +298,19 @@ def test_a_file_that_was_saved_in_the_lit_scene_is_exported_as_one_saved_in_the_
         assert main(["export", "--from", str(file), "--to", "three", "--out", str(out)]) == 0
         written.append((out / "three.json").read_text())
     assert written[0] == written[1]
+
+
+def test_show_lit_has_the_light_of_its_own_run_where_a_copy_of_the_scene_has_had_another(scene, lit_run, tmp_path):
+    before = keyed(bpy.data.worlds["Xihe Ball"])[0]
+    folder = shutil.copytree(lit_run, tmp_path / "brighter")
+    results = json.loads((folder / "results.json").read_text())
+    for change in results["lights"]["Ball"]:
+        change["sh"] = (3 * np.array(change["sh"])).tolist()
+    (folder / "results.json").write_text(json.dumps(results))
+    apply_results(scene.copy(), folder)  # A linked copy, with another path: it shares the objects.
+    assert not np.allclose(keyed(bpy.data.worlds["Xihe Ball"])[0][1], before[1])
+    for _ in range(2):
+        assert bpy.ops.xihe.show_lit() == {"FINISHED"}
+        shown = keyed(bpy.data.worlds["Xihe Ball"])[0]
+        assert shown.keys() == before.keys() and all(np.allclose(shown[frame], before[frame]) for frame in before)
+        assert bpy.ops.xihe.show_room() == {"FINISHED"}

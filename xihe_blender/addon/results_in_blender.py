@@ -123,7 +123,7 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     if said := other_unit(scene, results):
         raise UserError(said)
     here = lit_here(scene, results)
-    if (results.lights and not here) or any(name not in applied_worlds(scene) for name in here):
+    if (results.lights and not here) or not all(_is_lit_by(folder, applied_worlds(scene).get(name)) for name in here):
         apply_results(scene, folder)
     captured = [entry.frame for entry in results.captured_frames]
     pictures = {frame: RunOutputs(folder).picture("captured", frame) for frame in captured}
@@ -151,6 +151,12 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
         put_over_frames(lit, frames)
     lit.world = applied_worlds(scene).get(active, lit.world)
     return lit
+
+
+def _is_lit_by(folder: Path, world: bpy.types.World | None) -> bool:
+    """Whether `world` has the light of the run in `folder`: a scene that shares its objects may have had another."""
+    of = None if world is None else LightOf.read(world) or LightOf()
+    return of is not None and of.run in ("", folder.name)
 
 
 def phone_cameras(folder: Path, captured: Sequence[int]) -> dict[int, FrameCamera]:
@@ -183,7 +189,7 @@ def show_found_light(
     has_key_light = results.settings.has_key_light
     key_object_light(world, name, _changes(of_frames), exposure, reflected, has_key_light=has_key_light)
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
-    LightOf(places, live={} if is_at_run else live).write(world)
+    LightOf(places, live={} if is_at_run else live, run=folder.name).write(world)
     clear_keys(world)
     if is_at_run:
         _key_curves(world, results, name)

@@ -63,12 +63,14 @@ class LightOf:
     """What the keys of a world stand for: estimation positions, by name, and where they are (world, metres).
 
     `moves` where they move along the path. `live` has coverage and expected error (None: unknown) at the last frame,
-    by position, where the light was estimated after the run, from its frames, for other places than the run's.
+    by position, where the light was estimated after the run, from its frames, for other places than the run's. `run` is
+    the name of the run's folder; empty where an earlier version did not note it.
     """
 
     places_m: Mapping[str, Sequence[float]] = field(default_factory=dict)
     moves: bool = False
     live: Mapping[str, tuple[float, float | None]] = field(default_factory=dict)
+    run: str = ""
 
     def write(self, world: bpy.types.World) -> None:
         # As text: a custom property's own keys are shorter than the names of objects may be.

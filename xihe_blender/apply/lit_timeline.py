@@ -6,7 +6,7 @@ Beside the world a sun where the run has key lights, a picture where it has refl
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -66,7 +66,7 @@ def apply_lights(
         world.use_fake_user = True
         lights = {change.frame: light_of_change(change) for change in of_one}
         key_object_light(world, name, lights, exposure, reflected_of(of_one, folder), has_key_light=has_key_light)
-        light_of(name, frames).write(world)
+        replace(light_of(name, frames), run=folder.name).write(world)
     for entry in frames:
         reasons = [probe.reason for probe in entry.probes if probe.fired]
         if reasons:
