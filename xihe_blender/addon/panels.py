@@ -380,7 +380,7 @@ class XIHE_PT_results(StagePanel, bpy.types.Panel):
         if run.recording is None:
             row = layout.row(align=True)
             row.operator("xihe.show_comparison", text="Compare")
-            row.prop(room_of(context.scene).xihe, "wipe", slider=True)
+            row.prop(settings, "wipe", slider=True)
         _draw_looks(context, layout)
         row = layout.row(align=True)
         row.operator("xihe.save_side_by_side", text="Save Video")
@@ -426,7 +426,7 @@ def shown_warnings(run: RunResults) -> list[str]:
 
 def _draw_moved(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     """What is known of the light at objects that were moved since the run, and that all below is of the run."""
-    moved = moved_positions(room_of(context.scene))
+    moved = moved_positions(context.scene)
     for name, (coverage, error) in moved.items():
         expected = "" if error is None else f", expected error {error:.3f}"
         words = f"{name!r} was moved or added since: coverage {coverage:.0%}{expected}"
