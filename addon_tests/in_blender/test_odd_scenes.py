@@ -582,6 +582,16 @@ def test_a_linked_object_with_the_name_of_another_is_told_apart_by_the_user(libr
     assert_refused(scene, tmp_path / "out", "two virtual objects are named 'Ball'", "library.blend", "rename")
 
 
+def test_an_object_with_the_name_of_a_position_of_another_is_told_apart_by_the_user(tmp_path):
+    scene = room_with_a_virtual_sphere(1)
+    virtual = virtual_collection(scene)
+    box(scene, "Shelf", (0, 1, 1), (3.0, 0.2, 0.2), collection=virtual)
+    sphere(scene, "Shelf 1", (1, -1, 1), 0.1, None, virtual)
+    assert_refused(scene, tmp_path / "out", "'Shelf' and 'Shelf 1'", "estimation position", "rename")
+    bpy.data.objects["Shelf 1"].name = "Vase"
+    assert len(plan_previs(scene, SMALL).probes) == 5
+
+
 def test_light_of_a_library_stays_as_it_is(library, tmp_path):
     scene = room_with_a_virtual_sphere(1)
     (world,) = linked(library[2], "worlds", "Xihe Ball")

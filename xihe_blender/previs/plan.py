@@ -74,6 +74,13 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
         first_view = phone_camera(working)
         named = [(item, named_positions(item, working.view_layers[0].depsgraph)) for item in objects]
     probes = [Probe(name, item.name, place) for item, places in named for name, place in places.items()]
+    owners: dict[str, str] = {}
+    for probe in probes:
+        if (owner := owners.setdefault(probe.name, probe.object_name)) != probe.object_name:
+            raise UserError(
+                f"virtual objects {owner!r} and {probe.object_name!r} both have an estimation position that is named "
+                f"{probe.name!r}: rename one of them"
+            )
     return PrevisPlan(tuple(frames), size, tuple(objects), tuple(probes), first_view)
 
 
