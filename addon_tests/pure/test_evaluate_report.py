@@ -139,7 +139,9 @@ def test_so_few_scenes_say_how_little_they_hold():
     assert "at most 75" in answers.what_it_stands_on(batch(3))
     assert "at most" not in answers.what_it_stands_on(batch(8))
     pixels = {"<far>": 27.4, "near": 2000.0, "small": 99.0, "hidden": None}
-    words = answers.what_it_stands_on([trial(scene, object_pixels=n) for scene, n in pixels.items()])
+    trials = [trial(scene, object_pixels=n) for scene, n in pixels.items()]
+    blind = trial("<far>", 1, object_pixels=None)  # Of a phone that delivered no frame with an object.
+    words = answers.what_it_stands_on([*trials, blind])
     assert "In &lt;far&gt; and small virtual objects cover fewer than 100 pixels" in words
 
 
