@@ -189,8 +189,8 @@ def what_it_stands_on(trials: Sequence[Trial]) -> str:
     counts = [format_count(len(scenes), "scene"), format_count(len(seeds), "seed"), format_count(len(phones), "phone")]
     words = f"{format_list(counts)}, {format_count(len(trials), 'trial')}."
     if small := dict.fromkeys(one.scene for one in trials if too_small_to_judge(one.object_pixels) is not None):
-        words += f" In {format_list([escape(scene) for scene in small])} virtual objects cover fewer than {FEW_PIXELS} pixels of a picture"
-        words += ", too few to judge pictures by."
+        words += f" In {format_list([escape(scene) for scene in small])} virtual objects cover fewer than {FEW_PIXELS}"
+        words += " pixels of a picture, too few to judge pictures by."
     if len(scenes) == 1:
         words += " One scene says nothing about others: intervals are over the trials in it."
         n_pairs = len(seeds) * len(phones)
