@@ -263,6 +263,9 @@ def test_a_folder_of_another_frontier_and_two_scenes_of_one_name_are_refused(don
         run_blocking(frontier([done / "room.blend"], done / "out", replace(SMALL, seed=1)))
     with pytest.raises(UserError, match="two scenes are named 'room'"):
         run_blocking(frontier([done / "room.blend"] * 2, tmp_path / "out", SMALL))
+    (tmp_path / "report.html").write_text("of a batch")
+    with pytest.raises(UserError, match="not from a frontier"):
+        run_blocking(frontier([done / "room.blend"], tmp_path, SMALL))
 
 
 def test_a_frontier_of_other_weights_is_refused(done, tmp_path):

@@ -133,8 +133,9 @@ def test_a_batch_begins_anew_where_all_of_the_last_one_was_refused(tmp_path):
         assert found.failed and found.settings == settings
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path):
-    (tmp_path / "results.json").write_text("{}")
+@pytest.mark.parametrize("name", ["results.json", "report.html"])
+def test_a_folder_of_something_else_is_refused(tmp_path, name):
+    (tmp_path / name).write_text("{}")
     with pytest.raises(UserError, match="not from a batch"):
         BatchFolder(tmp_path).manifest(SETTINGS).take()
 

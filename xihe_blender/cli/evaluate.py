@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--network NAME", arguments.NETWORK)
     add("--workers N", "processes on this machine, one thread each; default: one per core", int)
     add("--scheduler ADDRESS", "Dask scheduler whose workers do the work, such as tcp://host:8786")
-    add("--frontier DIR", "results of xihe frontier to include in the report; default: those in --out", Path)
+    add("--frontier DIR", "results of xihe frontier to include in the report; default: a frontier.json in --out", Path)
 
 
 def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:

@@ -253,7 +253,7 @@ class BatchFolder:
             profiles=dict(zip(named.phones, profiles, strict=True)),
             weights=weights,
         )
-        results = (self.path / "results.json",)
+        results = (self.path / "results.json", self.path / "report.html")
         return FolderManifest(self.path, self.path / "batch.json", "a batch", as_json(content), results)
 
     def forget_what_made_nothing(self) -> None:
@@ -264,6 +264,7 @@ class BatchFolder:
         except (OSError, TypeError, KeyError, ValueError):
             return
         if is_empty and not any(path.is_file() for path in (self.path / "units").rglob("*")):
+            (self.path / "report.html").unlink(missing_ok=True)
             results.unlink()
             manifest.unlink()
 

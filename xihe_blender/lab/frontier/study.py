@@ -103,7 +103,7 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         "settings": asdict(settings),
         "weights": weights_sha256({choice.estimator for choice in compute_choices(is_quick=False)}, "ldr"),
     }
-    results = (out / "frontier.json",)
+    results = (out / "frontier.json", out / "report.html")
     with FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).held():
         return (yield from _measured(files, out, settings, command))
 
