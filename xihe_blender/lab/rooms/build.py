@@ -61,12 +61,12 @@ def build_dataset(folder: Path, settings: BuildSettings) -> Job[int]:
 def _in_processes(folder: Path, settings: BuildSettings, missing: Sequence[int]) -> Iterator[Progress]:
     """Make the `missing` rooms in processes of this machine. UserError, in its own words, if one failed."""
     n_workers = min(settings.n_workers or n_cores(), len(missing))
-    command = [*module_command(WORKER), *_arguments(folder, settings, "-")]
+    command = [*module_command(WORKER), *_arguments(folder, settings)]
     with contextlib.ExitStack() as stack:
         workers = []
         for share in (missing[i::n_workers] for i in range(n_workers)):
             numbers = stack.enter_context(tempfile.TemporaryFile())  # A command line would be too long for them.
-            numbers.write(_joined(share).encode())
+            numbers.write(",".join(map(str, share)).encode())
             numbers.seek(0)
             workers.append(stack.enter_context(process_on_one_core(command, stdin=numbers, stdout=DEVNULL)))
         try:
@@ -83,7 +83,7 @@ def _over_dask(folder: Path, settings: BuildSettings, missing: Sequence[int]) ->
         return
     folder = folder.resolve()
     shares = [missing[i : i + ROOMS_AT_A_TIME] for i in range(0, len(missing), ROOMS_AT_A_TIME)]
-    work = [Work(f"room {share[0]}", WORKER, tuple(_arguments(folder, settings, _joined(share)))) for share in shares]
+    work = [Work(f"room {share[0]}", WORKER, _arguments(folder, settings, share)) for share in shares]
     with open_dask_workers(None, settings.scheduler) as workers:
         workers.check_workers(str(folder), [])
         yield from workers.run(work, "share of rooms")
@@ -129,10 +129,6 @@ def _watched(
         time.sleep(POLL_S)
 
 
-def _joined(indices: Sequence[int]) -> str:
-    return ",".join(map(str, indices))
-
-
-def _arguments(folder: Path, settings: BuildSettings, rooms: str) -> list[str]:
-    """What `worker` is told."""
-    return [str(folder), json.dumps(as_json(settings)), rooms]
+def _arguments(folder: Path, settings: BuildSettings, rooms: Sequence[int] = ()) -> tuple[str, ...]:
+    """What `worker` is told: the numbers of the rooms, or that they are on stdin."""
+    return str(folder), json.dumps(as_json(settings)), ",".join(map(str, rooms)) or "-"

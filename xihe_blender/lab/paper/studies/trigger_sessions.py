@@ -62,14 +62,11 @@ Change = Callable[[UnitSphereCloud, UnitSphereCloud], float]
 
 def changes_by_rule(lattice: AnchorLattice) -> dict[str, Change]:
     """What each rule holds against its theta, for what was known at the last estimate and what was seen since."""
-
-    def of_the_paper(previous: UnitSphereCloud, current: UnitSphereCloud) -> float:
-        return decide_trigger(previous, current, lattice, TriggerSettings(policy="reference")).change or 0.0
-
-    def of_ours(previous: UnitSphereCloud, current: UnitSphereCloud) -> float:
-        return light_difference(previous, merge(previous, current), lattice)
-
-    return {PAPERS: of_the_paper, OURS: of_ours}
+    of_the_paper = TriggerSettings(policy="reference")
+    return {
+        PAPERS: lambda previous, seen: decide_trigger(previous, seen, lattice, of_the_paper).change or 0.0,
+        OURS: lambda previous, seen: light_difference(previous, merge(previous, seen), lattice),
+    }
 
 
 def follow(session: Session, lattice: AnchorLattice) -> list[Followed]:
