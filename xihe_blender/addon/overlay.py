@@ -2,8 +2,7 @@
 
 A disc at each estimation position, coloured by its coverage in the last run, with its name and share. Discs are drawn
 in the picture's plane and over everything: a position lies inside its object. Where it was asked where the phone should
-look, an arrow says so at the camera path. Rejected: points of the GPU, whose size
-some of its backends ignore.
+look, an arrow says so at the camera path. Rejected: points of the GPU, whose size some of its backends ignore.
 
 Positions are computed when something has changed, not when the view is drawn: handlers only set a flag. The one object
 at module level, `_overlay`, holds the handle that has to be given back. In background there is nothing to draw on.

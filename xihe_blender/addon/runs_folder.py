@@ -68,8 +68,7 @@ def found_folder(folder: str) -> Path:
     """Where a run or an error budget lies that a scene remembers in `folder`, as an absolute path.
 
     If that is gone, it is sought by its name where runs are kept now, and beside the file: the two were moved together.
-    The file may also lie in it, as the lit file of a run does.
-    The path may be of Windows, on another system.
+    The file may also lie in it, as the lit file of a run does. The path may be of Windows, on another system.
     """
     remembered = Path(bpy.path.abspath(folder))
     if not folder or remembered.is_dir():

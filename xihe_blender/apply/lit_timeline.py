@@ -56,9 +56,8 @@ def apply_lights(
     """Key a world per virtual object at every frame at which its light changes; mark the triggers.
 
     `changes` are by virtual object, as results.json has them, carrying `exposure`; the pictures of the comparison are
-    made with the same.
-    Worlds and suns of earlier runs are keyed anew. `frames` are those of results.json, for the triggers; `folder` is
-    the run's, with the pictures of reflections.
+    made with the same. Worlds and suns of earlier runs are keyed anew. `frames` are those of results.json, for the
+    triggers; `folder` is the run's, with the pictures of reflections.
     """
     sh_worlds.remove_trigger_markers(scene)
     for name, of_one in changes.items():

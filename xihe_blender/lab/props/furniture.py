@@ -1,8 +1,7 @@
 """Furniture of a room: tables, chairs, sofas, beds, shelves, plants, curtains, pictures, radiators.
 
 Each function puts one piece in its place and takes its materials as arguments, so that a scene chooses its own palette.
-Pieces are a few objects of one material
-each. Randomness (books, leaves) comes from a generator argument.
+Pieces are a few objects of one material each. Randomness (books, leaves) comes from a generator argument.
 """
 
 from __future__ import annotations
