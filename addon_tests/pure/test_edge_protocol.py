@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from addon_tests.fuzz import some_examples
+from addon_tests.pure.any_requests import TEXTS, changed
 from addon_tests.pure.edge_servers import published_body
 from addon_tests.pure.made import random_cloud, random_rotation
 from xihenet.codec import METHODS, encode_cloud
@@ -82,13 +83,16 @@ def test_any_bytes_are_a_legal_cloud_or_a_value_error(body, n):
 
 @some_examples()
 @given(
-    st.binary(max_size=200),
+    st.integers(0, 2**32),
     st.sampled_from(list(METHODS)),
-    st.dictionaries(st.sampled_from(protocol.OUR_HEADERS), st.text(max_size=30)),
+    st.sampled_from([{protocol.EXPOSURE_HEADER: "1"}, {}]),
+    st.dictionaries(st.sampled_from(protocol.OUR_HEADERS), st.sampled_from(TEXTS) | st.text(max_size=30), max_size=2),
 )
-def test_any_clean_request_is_a_legal_cloud_or_a_value_error(body, method, headers):
+def test_any_clean_request_is_a_legal_cloud_or_a_value_error(seed, method, headers, odd):
+    rng, kind = np.random.default_rng(seed), protocol.content_type_of(method)
+    body = encode_cloud(random_cloud(rng, 12), method)
     try:
-        sent = protocol.read_clean(body, 12, protocol.content_type_of(method), headers)
+        sent = protocol.read_clean(changed(rng, body) if seed % 2 else body, 12, kind, headers | odd)
     except ValueError:
         return
     assert len(sent.cloud) == 12 and sent.exposure > 0
