@@ -71,14 +71,20 @@ def test_what_is_wrong_in_records_is_said(body, said):
         protocol.read_published(body, 8, "unity")
 
 
+DISTANCES_M = st.sampled_from([0.0, 2.0, np.inf, -1.0, np.nan])
+RECORD = st.just(bytes(7)) | st.builds(record, st.integers(0, 12), distance_m=DISTANCES_M)
+
+
 @some_examples()
-@given(st.binary(max_size=7 * 12), st.integers(1, 12))
+@given(st.binary(max_size=7 * 12) | st.lists(RECORD, max_size=6).map(b"".join), st.integers(1, 12))
 def test_any_bytes_are_a_legal_cloud_or_a_value_error(body, n):
     try:
         sent = protocol.read_published(body, n, "unity")
     except ValueError:
         return
     assert len(sent.cloud) == n and set(sent.quirks) <= {"dropped", "lost", "uninitialised", "too_far"}
+    n_left_out = sum(sent.quirks.get(name, 0) for name in ("dropped", "uninitialised"))
+    assert sent.cloud.is_set.sum() + n_left_out == len(body) / 7
 
 
 @some_examples()
