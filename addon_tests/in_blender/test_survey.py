@@ -123,7 +123,7 @@ CHANGING_LAMPS = {
 @pytest.mark.parametrize("changes", CHANGING_LAMPS)
 def test_a_lamp_whose_light_changes_is_noticed(changes):
     if changes in ("exposure", "temperature") and bpy.app.version < (4, 5):
-        pytest.skip("lamps have neither an exposure nor a temperature")
+        pytest.skip(reason="lamps have neither an exposure nor a temperature")
     scene = room_with_a_virtual_sphere()
     lamp = add_lamp(scene, "AREA", (0, 0, 2.5), "Panel").data
     assert not surveyed(scene).light_changes
