@@ -120,7 +120,8 @@ def _train(typed: Sequence[str]) -> int:
 def default_of(action: argparse.Action) -> str:
     """What an option is if it is not given, "default: 0"; empty where there is nothing to say, or its help says it."""
     is_said = action.nargs == 0 or action.default in (None, "", [], ()) or "default" in (action.help or "")
-    return "" if is_said else f"default: {action.default}"
+    value = f"{action.default:g}" if isinstance(action.default, float) else action.default
+    return "" if is_said else f"default: {value}"
 
 
 class _Help(argparse.HelpFormatter):
