@@ -122,14 +122,14 @@ def show_lit(scene: bpy.types.Scene, folder: Path, active: str = "") -> bpy.type
     results = read_results(folder)
     if said := other_unit(scene, results):
         raise UserError(said)
-    here = lit_here(scene, results)
-    if (results.lights and not here) or not all(_is_lit_by(folder, applied_worlds(scene).get(name)) for name in here):
-        apply_results(scene, folder)
     captured = [entry.frame for entry in results.captured_frames]
     pictures = {frame: RunOutputs(folder).picture("captured", frame) for frame in captured}
     gone = [path for path in pictures.values() if not path.is_file()]
     if gone or not pictures:
         raise UserError(f"{gone[0]} is gone: run again" if gone else "no virtual object was ever in view: run again")
+    here = lit_here(scene, results)
+    if (results.lights and not here) or not all(_is_lit_by(folder, applied_worlds(scene).get(name)) for name in here):
+        apply_results(scene, folder)
     objects, worlds, lit = virtual_objects(scene), applied_worlds(scene), lit_scene()
     shown = [item for item in objects if item.name in worlds]
     is_kept = lit is not None and is_of_run(lit, scene, folder.name, shown) and has_its_frames(lit)
