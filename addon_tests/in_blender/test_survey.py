@@ -131,6 +131,22 @@ def test_a_lamp_whose_light_changes_is_noticed(changes):
     assert surveyed(scene).light_changes
 
 
+def growing(screen):
+    screen.shape_key_add(name="Small")
+    large = screen.shape_key_add(name="Large")
+    for point in large.data:
+        point.co *= 2
+    key(large, "value", {1: 0.0, 3: 1.0})
+
+
+@pytest.mark.parametrize("change", [growing, lambda screen: key(screen, "color", {1: (1, 1, 1, 1), 3: (1, 0, 0, 1)})])
+def test_a_glowing_mesh_that_grows_or_has_another_colour_is_light_that_changes(change):
+    scene = room_with_a_virtual_sphere()
+    assert not surveyed(scene).light_changes
+    change(bpy.data.objects["Lamp"])
+    assert surveyed(scene).light_changes
+
+
 def test_what_another_camera_is_beside_the_path_does_not_matter():
     scene = room_with_a_virtual_sphere(3)
     own = scene.camera

@@ -269,7 +269,8 @@ class RoomSurvey:
             found[material.name], glows = read_once(self._still, material, _roughness_and_glow)
             if glows:
                 self.is_driven |= _may_change(material.original)
-                glowing.add((item.name, material.name, place))
+                box = tuple(map(tuple, item.bound_box))  # It may grow where it stands.
+                glowing.add((item.name, material.name, place, box, tuple(item.color)))
         return glowing
 
 
