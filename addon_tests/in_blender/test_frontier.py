@@ -277,6 +277,13 @@ def test_a_frontier_of_other_weights_is_refused(done, tmp_path):
         run_blocking(frontier([done / "room.blend"], tmp_path / "out", SMALL))
 
 
+def test_a_frontier_of_another_machine_is_refused(done, monkeypatch):
+    other = {"platform": "elsewhere", "processor": "x86_64", "n_cores": 4096}
+    monkeypatch.setattr("xihe_blender.lab.frontier.study.machine", lambda: other)
+    with pytest.raises(UserError, match="holds a frontier with another machine or render device"):
+        run_blocking(frontier([done / "room.blend"], done / "out", SMALL))
+
+
 def test_a_scene_that_cannot_be_measured_is_named_before_anything_is_measured(done, tmp_path):
     room_with_a_virtual_sphere()
     camera = bpy.context.scene.camera

@@ -36,6 +36,7 @@ WORDS = {
     "effect_choices": "choice of effects",
     "between_estimates": "light between estimates",
     "n_anchors": "number of anchors",
+    "machine": "machine or render device",
 }
 
 

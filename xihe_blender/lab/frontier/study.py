@@ -19,6 +19,7 @@ from typing import TypeVar
 import bpy
 import numpy as np
 
+from xihe_blender.capture.cycles_device import device_of
 from xihe_blender.capture.reference_probe import ProbeSettings, open_reference_probe
 from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.scanner import CyclesScanner, meter_exposure, open_scanner
@@ -88,9 +89,10 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     if not 0 <= settings.seed <= MAX_SEED:
         raise UserError(f"a seed of {settings.seed} is out of Cycles' range: give 0 to {MAX_SEED}")
     check_names_differ(files)
-    patterns = []
+    patterns, devices = [], {}
     for file in files:
         scene = open_blend(file)
+        devices[file.stem] = device_of(scene)
         with of_file(file):
             survey_scene(scene, settings.size)
         patterns += files_read()
@@ -102,6 +104,8 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
         "linked_sha256": contents_sha256(patterns),
         "settings": asdict(settings),
         "weights": weights_sha256({choice.estimator for choice in compute_choices(is_quick=False)}, "ldr"),
+        # Times of two machines are not to be compared; a newer system on the same one is no other.
+        "machine": {name: value for name, value in machine().items() if name != "platform"} | devices,
     }
     results = (out / "frontier.json", out / "report.html")
     with FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).held():
