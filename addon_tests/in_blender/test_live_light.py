@@ -280,6 +280,8 @@ def test_pictures_of_the_light_of_moved_and_added_objects_stay_those_of_their_pl
     for light in lights:
         picture = np.array(bpy.data.images[f"Xihe Light {light.object_name}"].pixels).reshape(-1, 4)
         assert picture[:, :3].mean() == pytest.approx(evaluate_panorama(light.light.sh, 64, 128).mean(), rel=1e-3)
+    bpy.data.worlds["Xihe New"].node_tree.nodes.clear()  # It is the user's file.
+    assert bpy.ops.xihe.go_to_trigger(direction="NEXT") == {"FINISHED"}
 
 
 def test_a_file_that_was_saved_in_the_lit_scene_is_exported_as_one_saved_in_the_room(scene, tmp_path):

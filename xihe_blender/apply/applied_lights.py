@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 from mathutils import Quaternion
 
-from xihe_blender.apply.datablocks import LightOf, applied_worlds
+from xihe_blender.apply.datablocks import LightOf, applied_worlds, lights_by_sh
 from xihe_blender.apply.key_suns import applied_suns
 from xihe_blender.apply.keys import f_curves
 from xihe_blender.apply.sh_worlds import COEFFICIENTS, GAIN, inputs_of_world, light_curves
@@ -44,7 +44,8 @@ def lights_of_scene(scene: bpy.types.Scene, asked: LightsAsked) -> list[NamedLig
 
 def lights_after_run(room: bpy.types.Scene, frame: int, units: str = "picture") -> dict[str, NamedLight]:
     """The lights in use at `frame` of the virtual objects of `room` that were moved or added since the run."""
-    moved = [name for name, world in applied_worlds(room).items() if (of := LightOf.read(world)) and of.live]
+    worlds = {name: world for name, world in applied_worlds(room).items() if lights_by_sh(world)}
+    moved = [name for name, world in worlds.items() if (of := LightOf.read(world)) and of.live]
     asked = LightsAsked(frame, objects=tuple(moved), units=units)
     return {light.object_name: light for light in lights_of_scene(room, asked)}
 
