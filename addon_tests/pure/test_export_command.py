@@ -288,6 +288,34 @@ def test_a_disc_in_a_picture_has_the_key_lights_irradiance(direction, radius):
     np.testing.assert_allclose((picture * facing[..., None]).sum(axis=(0, 1)), key.irradiance)
 
 
+@pytest.mark.parametrize("radius", [1e-4, 0.02, 0.1])
+def test_a_disc_keeps_its_light_where_an_engine_looks_it_up_for_a_cube_map(radius):
+    rng = np.random.default_rng(0)
+    found = [
+        _in_a_cube_map(KeyLight(d / np.linalg.norm(d), np.ones(3), radius, True)) for d in rng.normal(size=(60, 3))
+    ]
+    assert np.abs(np.array(found) - 1).max() < 0.06
+
+
+def _in_a_cube_map(key):
+    """The irradiance of its disc after bilinear look-ups at the texels' middles, as in three.js."""
+    picture, places = disc_picture(key, 128)[..., 0], (np.arange(64) + 0.5) / 32 - 1
+    across, down = np.meshgrid(places, places)
+    face = np.stack([np.ones_like(across), across, down], axis=-1).reshape(-1, 3)
+    rays = np.concatenate([sign * np.roll(face, axis, axis=1) for axis in range(3) for sign in (1, -1)])
+    lengths = np.linalg.norm(rays, axis=1)
+    rays /= lengths[:, None]
+    column = (np.arctan2(rays[:, 0], rays[:, 1]) / (2 * np.pi) + 0.5) * 256 - 0.5
+    row = np.clip(np.arccos(rays[:, 2]) / np.pi * 128 - 0.5, 0, 127)
+    left, top = np.floor(column).astype(int), np.floor(row).astype(int)
+    right_share, low_share = column - left, row - top
+    upper, lower = picture[top], picture[np.minimum(top + 1, 127)]
+    rows = upper * (1 - low_share[:, None]) + lower * low_share[:, None]
+    each = np.arange(len(rays))
+    shown = rows[each, left % 256] * (1 - right_share) + rows[each, (left + 1) % 256] * right_share
+    return (shown * np.maximum(rays @ key.direction, 0) * lengths**-3 / 32**2).sum()
+
+
 @pytest.mark.parametrize(
     ("platform", "middle", "right"), [("unity", "+X", (0, -1, 0)), ("playcanvas", "-Y", (-1, 0, 0))]
 )

@@ -23,6 +23,9 @@ from xihenet.records import ArrayF32, ArrayF64, ArrayU8, KeyLight, ObjectLight
 HEIGHT = 128
 """Of a picture: a texel is 1.4 degrees wide, as wide as the directions of reflections are apart."""
 
+SMALLEST_DISC = 2
+"""Texels that the radius of a key light in a picture has at least."""
+
 Picture = TypeVar("Picture", ArrayF64, ArrayF32)
 QUARTERS: dict[Layout, int] = {"+X": -1, "-Y": 2}
 """Of a turn by which columns move."""
@@ -42,11 +45,17 @@ def reflections_picture(light: ObjectLight) -> ArrayF64 | None:
 
 
 def disc_picture(key: KeyLight, height: int) -> ArrayF64:
-    """(H, 2H, 3) radiance of a key light alone; one texel at least, and its irradiance to rounding."""
+    """(H, 2H, 3) radiance of a key light alone, with its irradiance to rounding.
+
+    Its radius is two texels at least, and its rim fades over two: engines look the picture up in directions of a cube
+    map as fine, and of smaller discs they find a half, the double or nothing.
+    """
+    texel = np.pi / height
     cosine = panorama_directions(height, 2 * height) @ key.direction
-    is_inside = cosine >= min(np.cos(key.angular_radius), cosine.max())
-    weights = np.where(is_inside, np.maximum(cosine, 0.0), 0.0) * solid_angles(height, 2 * height)
-    return is_inside[..., None] * np.maximum(key.irradiance, 0.0) / weights.sum()
+    beyond = np.arccos(np.clip(cosine, -1.0, 1.0)) - max(key.angular_radius, SMALLEST_DISC * texel)
+    share = np.clip(0.5 - beyond / (2 * texel), 0.0, 1.0)
+    weights = share * np.maximum(cosine, 0.0) * solid_angles(height, 2 * height)
+    return share[..., None] * np.maximum(key.irradiance, 0.0) / weights.sum()
 
 
 def laid_out(picture: Picture, layout: Layout) -> Picture:
