@@ -65,8 +65,13 @@ def test_noise_is_no_light_of_a_higher_order(rng):
 
 
 @pytest.mark.parametrize(
-    ("picture", "noise"), [(np.zeros((4, 3)), 0.0), (np.zeros((9, 3)), -1.0), (np.full((9, 3), np.nan), 0.0)]
+    ("picture", "noise", "said"),
+    [
+        (np.zeros((4, 3)), 0.0, "order 2 or more, got order 1"),
+        (np.zeros((9, 3)), -1.0, "noise of 0 or more"),
+        (np.full((9, 3), np.nan), 0.0, "finite coefficients"),
+    ],
 )
-def test_what_is_no_ball_is_refused(picture, noise):
-    with pytest.raises(ValueError):
+def test_what_is_no_ball_is_refused(picture, noise, said):
+    with pytest.raises(ValueError, match=said):
         SatinBall(picture, noise)
