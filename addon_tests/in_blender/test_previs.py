@@ -78,6 +78,12 @@ def test_metrics_follow_from_the_files(finished):
     assert compared
 
 
+def test_the_clamp_of_indirect_light_is_told_beside_white(finished):
+    clamp, exposure = 10.0, finished.results["settings"]["reference_exposure"]
+    (said,) = (effect["reason"] for effect in finished.results["effects"] if effect["name"] == "indirect clamp")
+    assert said == f"as the scene has it: {clamp:g}, {clamp * exposure:.2g} times white at this exposure"
+
+
 def test_a_frame_took_the_time_of_its_capture_and_of_its_reference_lights(finished):
     work = finished.outputs.folder / "work"
     for frame in (entry for entry in finished.results["frames"] if entry["captured"]):

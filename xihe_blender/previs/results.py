@@ -96,7 +96,7 @@ def assemble(
     scene, profile = run.scene, run.phone.profile
     comparison = _mean_comparison(frames)
     notes, warnings = notes_and_warnings(run, frames, phone, recording)
-    effects = effects_as_json({**run.effects, **_other_effects(scene), **phone.effects})
+    effects = effects_as_json({**run.effects, **_other_effects(scene, run.exposure), **phone.effects})
     return records.RunResults(
         software=software(command),
         machine=machine() | {"cycles_device": device_of(scene)},
@@ -127,11 +127,12 @@ def assemble(
     )
 
 
-def _other_effects(scene: bpy.types.Scene) -> dict[str, Effect]:
+def _other_effects(scene: bpy.types.Scene, exposure: float) -> dict[str, Effect]:
     """What is always so, besides light transport and phone."""
     clamp = scene.cycles.sample_clamp_indirect
+    beside_white = f", {clamp * exposure:.2g} times white at this exposure" if clamp > 0 else ""
     required = {
-        "indirect clamp": Requirement(clamp > 0, f"as the scene has it: {clamp:g}", {}, {}),
+        "indirect clamp": Requirement(clamp > 0, f"as the scene has it: {clamp:g}{beside_white}", {}, {}),
         "8-bit clipping": Requirement(True, "a phone delivers clipped, sRGB-encoded bytes", {}, {}),
     }
     return plan_effects(required, {})
