@@ -17,11 +17,11 @@ from xihe_blender.addon.background_run import BackgroundRun, RunState, saved_for
 from xihe_blender.addon.modal_job import RunUnderWay
 from xihe_blender.addon.panels import ended_elsewhere
 from xihe_blender.addon.run_operators import Following
-from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Progress, run_blocking
+from xihe_blender.scene.blend_file import ROOM
 
 
 def test_a_run_that_ended_early_says_how_to_go_on_and_where_its_console_is(tmp_path):

@@ -21,7 +21,7 @@ from xihe_blender.addon.live_light import misplaced
 from xihe_blender.addon.results_in_blender import remove_everything, show_lit
 from xihe_blender.addon.run_settings import choices_of_run, choose_as_run
 from xihe_blender.addon.runs_folder import found_folder, last_run
-from xihe_blender.apply.datablocks import LIT_SCENE, ROOM, RUN_BESIDE, has_anything, lit_scene
+from xihe_blender.apply.datablocks import LIT_SCENE, RUN_BESIDE, has_anything, lit_scene
 from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.lit_scene import (
     CapturedFrames,
@@ -39,6 +39,7 @@ from xihe_blender.io.outputs import RunOutputs, write_picture
 from xihe_blender.io.run_lights import light_of_change
 from xihe_blender.io.run_results import read_results
 from xihe_blender.light_transport.overrides import remembered_overrides
+from xihe_blender.scene.blend_file import ROOM
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.io.frame_files import FrameCamera
 from xihenet.light.key_light import rest_of

@@ -24,6 +24,7 @@ from xihe_blender.io.run_lights import LightsAsked, lights_asked
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
+from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.key_light import rest_of
@@ -285,13 +286,15 @@ def test_pictures_of_the_light_of_moved_and_added_objects_stay_those_of_their_pl
 
 
 def test_a_file_that_was_saved_in_the_lit_scene_is_exported_as_one_saved_in_the_room(scene, tmp_path):
-    written = []
+    files, written = [], []
     for action, name in (("show_lit", "lit"), ("show_room", "room")):
         assert getattr(bpy.ops.xihe, action)() == {"FINISHED"}
-        file, out = saved(tmp_path / f"{name}.blend"), tmp_path / name
-        assert (opened(file).name == "Xihe Lit") is (name == "lit")
-        assert main(["export", "--from", str(file), "--to", "three", "--out", str(out)]) == 0
-        written.append((out / "three.json").read_text())
+        assert (bpy.context.scene.name == "Xihe Lit") is (name == "lit")
+        files.append(saved(tmp_path / f"{name}.blend"))
+    for file in files:
+        assert open_blend(file) == bpy.context.scene != bpy.data.scenes["Xihe Lit"]
+        assert main(["export", "--from", str(file), "--to", "three", "--out", str(file.with_suffix(""))]) == 0
+        written.append((file.with_suffix("") / "three.json").read_text())
     assert written[0] == written[1]
 
 

@@ -27,13 +27,12 @@ import bpy
 
 from xihe_blender.addon.preferences import folders_with_runs
 from xihe_blender.addon.runs_folder import found_folder, last_part, remove_if_empty
-from xihe_blender.apply.datablocks import ROOM
 from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import is_locked
 from xihe_blender.io.json_records import Parameters, as_json, read_record
 from xihe_blender.io.outputs import RunOutputs, cut_stem, write_json
 from xihe_blender.jobs import Job, Progress
-from xihe_blender.scene.blend_file import save_copy
+from xihe_blender.scene.blend_file import ROOM, save_copy
 
 COMMAND = "Run in Blender's panel"
 SCRIPT = Path(__file__).with_name("background_script.py")

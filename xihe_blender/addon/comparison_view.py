@@ -14,8 +14,9 @@ import bpy
 from xihe_blender.addon.overlay import FONT_PX, LINE, draw_text, text_width
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import last_run
-from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, image_named, room_of
+from xihe_blender.apply.datablocks import COMPARISON_NAME, FRAME, image_named
 from xihe_blender.errors import UserError
+from xihe_blender.scene.blend_file import room_of
 
 MARGIN_PX = 8.0
 _handles: list[Any] = []

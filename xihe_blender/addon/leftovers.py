@@ -13,8 +13,9 @@ import bpy
 
 from xihe_blender.addon.background_run import newest_run
 from xihe_blender.addon.runs_folder import last_part, last_run
-from xihe_blender.apply.datablocks import OF_RUN, ROOM, RUN_BESIDE, lit_scene, remove_lit_collections
+from xihe_blender.apply.datablocks import OF_RUN, RUN_BESIDE, lit_scene, remove_lit_collections
 from xihe_blender.errors import UserError
+from xihe_blender.scene.blend_file import ROOM
 from xihe_blender.scene.state import WORKING, evaluate_pending, layers_of, remove_copied_scene
 
 

@@ -10,7 +10,7 @@ from xihe_blender.addon import polls
 from xihe_blender.addon.failures import Action
 from xihe_blender.addon.live_light import light_the_new, read_ahead
 from xihe_blender.addon.properties import last_run_folder
-from xihe_blender.apply.datablocks import ROOM
+from xihe_blender.scene.blend_file import ROOM
 
 VIEW_BEFORE = "xihe_view"
 """Custom property of the lit scene: how the 3D view was shaded, from where it looked, and the lines it showed."""

@@ -23,9 +23,10 @@ from xihe_blender.addon.modal_job import redraw
 from xihe_blender.addon.polls import may_move
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import last_run, other_unit
-from xihe_blender.apply.datablocks import LightOf, applied_worlds, lights_by_sh, room_of
+from xihe_blender.apply.datablocks import LightOf, applied_worlds, lights_by_sh
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import run_blocking
+from xihe_blender.scene.blend_file import room_of
 from xihe_blender.scene.virtual_objects import virtual_objects
 
 if TYPE_CHECKING:

@@ -28,7 +28,8 @@ from xihe_blender.addon.look_operators import advice_for, other_cameras
 from xihe_blender.addon.planning_operators import calibration_line, known_times
 from xihe_blender.addon.polls import doubts, has_camera, has_virtual_objects, shows_run
 from xihe_blender.addon.runs_folder import RUN_IS_GONE, found_folder, last_run, other_unit
-from xihe_blender.apply.datablocks import moved_positions, room_of
+from xihe_blender.apply.datablocks import moved_positions
+from xihe_blender.scene.blend_file import room_of
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.formats import format_duration

@@ -15,8 +15,9 @@ from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.properties import last_run_folder
 from xihe_blender.addon.runs_folder import RUN_IS_GONE, shown_runs
-from xihe_blender.apply.datablocks import ROOM, has_anything, trigger_markers
+from xihe_blender.apply.datablocks import has_anything, trigger_markers
 from xihe_blender.io.old_runs import old_runs, runs_in
+from xihe_blender.scene.blend_file import ROOM
 from xihe_blender.scene.phone_capture import IS_CAPTURED, remembered_capture
 from xihe_blender.scene.virtual_objects import (
     ancestors,

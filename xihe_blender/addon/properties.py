@@ -9,8 +9,9 @@ import bpy
 from xihe_blender.addon import choices
 from xihe_blender.addon.preferences import preferences
 from xihe_blender.addon.runs_folder import found_folder, last_part
-from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, placement_map, room_of
+from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, placement_map
 from xihe_blender.errors import UserError
+from xihe_blender.scene.blend_file import room_of
 
 LAST_FRAME = 1048574
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set[str]()

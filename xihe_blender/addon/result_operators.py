@@ -16,9 +16,10 @@ from xihe_blender.addon import choices, polls
 from xihe_blender.addon.failures import FAILURES, Action, failed, format_error
 from xihe_blender.addon.modal_job import TICK_S, ModalJob
 from xihe_blender.addon.properties import last_run_folder
-from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named, room_of
+from xihe_blender.apply.datablocks import COMPARISON_NAME, image_named
 from xihe_blender.errors import UserError
 from xihe_blender.jobs import Job, Progress, run_blocking
+from xihe_blender.scene.blend_file import room_of
 
 
 class XIHE_OT_explain(Action, bpy.types.Operator):

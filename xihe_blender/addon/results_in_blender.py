@@ -24,7 +24,6 @@ from xihe_blender.apply.datablocks import (
     FRAME,
     LIGHT_PREFIX,
     OF_RUN,
-    ROOM,
     LightOf,
     applied_worlds,
     image_named,
@@ -56,6 +55,7 @@ from xihe_blender.io.run_lights import last_surfaces
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.previs.better_camera import remove_better_camera
 from xihe_blender.previs.lit_blend import make_lit_scene
+from xihe_blender.scene.blend_file import ROOM
 from xihe_blender.scene.virtual_objects import virtual_objects
 from xihenet.camera_path.kept_path import FoundLight
 from xihenet.io.frame_files import FrameCamera

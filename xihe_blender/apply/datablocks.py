@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import bpy
 
+from xihe_blender.scene.blend_file import ROOM
 from xihe_blender.scene.virtual_objects import virtual_objects
 
 NODE_GROUP_NAME = "Xihe SH Radiance"
@@ -29,9 +30,6 @@ BETTER_PATH = "Xihe Better Path"
 SAME_PLACE_M = 5e-3
 """Places nearer than this share their light. Versions of Blender differ by millimetres in the box of a subdivided
 object, which no one has moved."""
-
-ROOM = "xihe_room"
-"""Custom property of the scene `Xihe Lit`: the scene that it shows the objects of."""
 
 RUN_BESIDE = "xihe_run"
 """Custom property of `Xihe Lit` in the lit file of a run: where the run lies, relative to that file."""
@@ -155,11 +153,6 @@ def remove_lit_collections() -> None:
     """Remove the collections that were made for `Xihe Lit` and that no scene uses any more."""
     for collection in [c for c in bpy.data.collections if c.name.startswith(f"{LIT_SCENE} ") and c.users == 0]:
         bpy.data.collections.remove(collection)
-
-
-def room_of(scene: bpy.types.Scene) -> bpy.types.Scene:
-    """The scene that has the run: `scene`, or the one that it shows the objects of."""
-    return scene.get(ROOM) or scene
 
 
 def lights_by_sh(world: bpy.types.World) -> bool:

@@ -26,7 +26,6 @@ from xihe_blender.apply.datablocks import (
     KEY_LIGHT,
     LIT_SCENE,
     OF_RUN,
-    ROOM,
     SHADOW_CATCHER,
     lit_scene,
     remove_lit_collections,
@@ -34,7 +33,7 @@ from xihe_blender.apply.datablocks import (
 from xihe_blender.apply.keyed_camera import key_camera
 from xihe_blender.apply.shadow_catchers import remove_shadow_catchers, shadow_catchers
 from xihe_blender.io.outputs import link_or_copy
-from xihe_blender.scene.blend_file import absolute
+from xihe_blender.scene.blend_file import ROOM, absolute
 from xihe_blender.scene.colour_management import show_as_it_is
 from xihe_blender.scene.mesh_arrays import array_of
 from xihe_blender.scene.phone_capture import CAPTURE, SCAN

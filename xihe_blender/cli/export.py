@@ -89,10 +89,9 @@ def _of_file(options: argparse.Namespace) -> list[Path]:
     if options.light is not None:
         raise UserError("--light does not apply to a file: leave it out, or name the run's RESULTS.json")
     from xihe_blender.apply.applied_lights import lights_of_scene
-    from xihe_blender.apply.datablocks import room_of
     from xihe_blender.scene.blend_file import open_blend
 
-    lights = lights_of_scene(room_of(open_blend(options.lit)), _asked(options))
+    lights = lights_of_scene(open_blend(options.lit), _asked(options))
     out = options.out or options.lit.parent / "exports" / options.to
     return write_lights(lights, options.to, out, options.units, options.reading)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import bpy
 
 from xihe_blender.apply import key_suns
-from xihe_blender.apply.datablocks import LIT_SCENE, OF_RUN, ROOM, RUN_BESIDE, applied_worlds, remove_lit_collections
+from xihe_blender.apply.datablocks import LIT_SCENE, OF_RUN, RUN_BESIDE, applied_worlds, remove_lit_collections
 from xihe_blender.apply.lit_scene import bring_lamps, leave_compositor, remove_lit_scene, set_up_lit_scene, show_only_in
 from xihe_blender.apply.shadow_catchers import (
     catch_shadows,
@@ -25,7 +25,7 @@ from xihe_blender.apply.shadow_catchers import (
     triangles_of,
 )
 from xihe_blender.capture.render import can_denoise
-from xihe_blender.scene.blend_file import save_copy
+from xihe_blender.scene.blend_file import ROOM, save_copy
 from xihe_blender.scene.phone_capture import scan_of
 from xihe_blender.scene.state import copied_scene, remove_copied_scene
 from xihe_blender.scene.units import metres_per_unit

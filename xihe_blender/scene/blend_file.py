@@ -25,9 +25,15 @@ from xihenet.io.whole_files import written_whole
 _MAGIC = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
 """A .blend as it is, compressed with Zstandard (since 3.0), compressed with gzip (before)."""
 
+ROOM = "xihe_room"
+"""Custom property of the scene `Xihe Lit`: the scene that it shows the objects of."""
+
 
 def open_blend(path: Path) -> bpy.types.Scene:
-    """The active scene of the .blend at `path`. Scripts in the file are not run. UserError if it cannot be opened."""
+    """The active scene of the .blend at `path`, and the room where it was saved in `Xihe Lit`.
+
+    Scripts in the file are not run. UserError if it cannot be opened.
+    """
     if not path.exists():
         raise UserError(f"{path}: no such file")
     if path.is_dir():
@@ -40,7 +46,14 @@ def open_blend(path: Path) -> bpy.types.Scene:
         bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise UserError(f"{path} cannot be opened by Blender {bpy.app.version_string}: {error}") from error
+    if ROOM in bpy.context.scene:
+        bpy.context.window.scene = bpy.context.scene[ROOM]
     return bpy.context.scene
+
+
+def room_of(scene: bpy.types.Scene) -> bpy.types.Scene:
+    """The scene that has the run: `scene`, or the one that it shows the objects of."""
+    return scene.get(ROOM) or scene
 
 
 def absolute(path: str) -> str:
