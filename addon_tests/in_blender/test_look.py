@@ -200,6 +200,13 @@ def test_a_copy_with_the_better_camera_is_saved_and_the_file_stays(scene, away, 
     assert unfinished_files(tmp_path) == []
     copy = opened(tmp_path / "better.blend")
     assert copy.camera.name == BETTER_PATH and copy.frame_end > 3
+    end, before = copy.frame_end, [_pose(copy, copy.camera, frame) for frame in (1, copy.frame_end)]
+    with nothing_changes():
+        save_better_path(copy, away, tmp_path / "two_looks.blend")
+    second = opened(tmp_path / "two_looks.blend")
+    after = [_pose(second, second.camera, frame) for frame in (1, second.frame_end)]
+    assert second.camera == better_path_camera() and second.frame_end > end
+    np.testing.assert_allclose(after, before, atol=1e-4)
 
 
 def test_a_camera_file_must_be_another_blend(tmp_path):

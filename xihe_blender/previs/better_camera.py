@@ -97,9 +97,13 @@ def check_camera_file(path: Path, blend_file: Path) -> None:
 
 
 def save_better_path(scene: bpy.types.Scene, away: LookAway, path: Path) -> None:
-    """Save a copy of the open file whose scene goes the better path; the file itself stays as it is."""
+    """Save a copy of the open file whose scene goes the better path; the file itself stays as it is.
+
+    Where that path has a look already, its camera is the scene's own, and is not replaced.
+    """
     switches = {marker: marker.camera for marker in scene.timeline_markers if marker.camera is not None}
     own, last = scene.camera, scene.frame_end
+    mark = own.pop(BETTER_PATH) if own == better_path_camera() else None
     try:
         camera, scene.frame_end = add_better_camera(scene, away)
         for marker in switches:  # They would take its place.
@@ -111,3 +115,5 @@ def save_better_path(scene: bpy.types.Scene, away: LookAway, path: Path) -> None
         for marker, before in switches.items():
             marker.camera = before
         remove_better_camera()
+        if mark is not None:
+            own[BETTER_PATH] = mark
