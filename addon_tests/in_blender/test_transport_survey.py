@@ -21,6 +21,7 @@ from tiny_scenes import (
 
 from xihe_blender.light_transport import cycles_settings, required_effects, transport_survey
 from xihe_blender.light_transport.enclosure import carried, rays_all_round
+from xihe_blender.scene.shader_nodes import smoothest_roughness
 from xihenet.effects import names_that_are_on
 
 
@@ -44,6 +45,20 @@ def test_an_animated_mix_factor_counts_over_its_frames(is_strip):
         animation.action = None
     assert state(scene, "transmission", frames=range(1, 11)) == "off"
     assert state(scene, "transmission", frames=range(1, 13)) == "on"
+
+
+def test_a_colour_that_is_linked_to_a_number_counts_by_its_luminance():
+    scene = with_ball(lambda: mixed(0.5))
+    mix = ball_node(scene, "MIX_SHADER")
+    colour = mix.id_data.nodes.new("ShaderNodeRGB").outputs[0]
+    mix.id_data.links.new(colour, mix.inputs[0])
+    for red, expected in ((0.0, "off"), (1.0, "on")):
+        colour.default_value = (red, 0.0, 0.0, 1.0)
+        assert state(scene, "transmission") == expected
+    mirror = mix.id_data.nodes.new("ShaderNodeBsdfGlossy")
+    mix.id_data.links.new(colour, mirror.inputs["Roughness"])
+    mix.id_data.links.new(mirror.outputs[0], mix.id_data.get_output_node("CYCLES").inputs["Surface"])
+    assert smoothest_roughness(scene.objects["Ball"].active_material) == pytest.approx(0.2126)
 
 
 def test_a_lamp_that_is_keyed_on_later_is_a_second_light():

@@ -16,6 +16,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import bpy
+import numpy as np
+
+from xihenet.colour import LUMINANCE
 
 Groups = tuple[Any, ...]  # the group nodes that have been entered, outermost first
 UNKNOWN_ALBEDO = 0.8
@@ -175,6 +178,12 @@ def constant(socket: Any, groups: Groups) -> Any:
     return tuple(value)[:3] if hasattr(value, "__len__") else value
 
 
+def number(socket: Any, groups: Groups) -> float | None:
+    """`constant` of an input that takes one number; of a colour that is linked to it the luminance, as in Cycles."""
+    value = constant(socket, groups)
+    return float(np.dot(LUMINANCE, value)) if isinstance(value, tuple) else value
+
+
 def largest(node: Any, name: str, groups: Groups) -> float | None:
     """The largest channel of the input `name`; 0 where the node has none of that name, None if it may be anything."""
     return _largest_of(node.inputs[name], groups) if name in node.inputs else 0.0
@@ -197,7 +206,7 @@ def is_whole(node: Any, name: str, groups: Groups) -> bool:
 
 def sides(node: Any, groups: Groups) -> list[Any]:
     """The shader inputs that an Add or a Mix Shader lets through: both, but for a mix by a constant 0 or 1."""
-    factor = constant(node.inputs[0], groups) if node.type == "MIX_SHADER" else None
+    factor = number(node.inputs[0], groups) if node.type == "MIX_SHADER" else None
     if factor is None or 0 < factor < 1:
         return [node.inputs[-2], node.inputs[-1]]
     return [node.inputs[-1 if factor >= 1 else -2]]
@@ -361,5 +370,5 @@ def _roughness(out: Any, groups: Groups) -> float | None:
         return 1.0
     if out.node.type not in REFLECTING:
         return None
-    value = constant(out.node.inputs["Roughness"], groups)
-    return None if value is None else min(max(float(value), 0.0), 1.0)
+    value = number(out.node.inputs["Roughness"], groups)
+    return None if value is None else min(max(value, 0.0), 1.0)
