@@ -19,7 +19,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.blender_process import write_result
 from xihe_blender.lab.batch.grid import BatchSettings
 from xihe_blender.lab.batch.results import WORST_KINDS, FilesRead, read_result, result_file, worst_picture
-from xihe_blender.lab.batch.unit import FACTORS, _record_frame, evaluate_unit, step_ms
+from xihe_blender.lab.batch.unit import FACTORS, _record_frame, estimates_per_minute, evaluate_unit, step_ms
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.io.json_files import read_json
 from xihenet.trigger import RULES
@@ -48,6 +48,18 @@ def test_what_the_first_frame_sets_up_is_no_part_of_a_step():
     frames = [SimpleNamespace(active=True, stage_ms={"sample": ms}, probes=[None]) for ms in (900.0, 10.0, 12.0)]
     assert step_ms(SimpleNamespace(frames=frames)) == 12.0
     assert step_ms(SimpleNamespace(frames=[])) is None
+
+
+def test_a_phone_that_gets_every_second_frame_of_the_path_is_asked_half_as_often():
+    def rate(delivered):
+        frames = [
+            SimpleNamespace(time_s=k / 60, is_delivered=k in delivered, probes=[None] * (k in delivered))
+            for k in range(9)
+        ]
+        return estimates_per_minute(SimpleNamespace(frames=frames), n_fired=len(delivered))
+
+    assert rate(range(9)) == pytest.approx(60 * 60)
+    assert rate(range(0, 9, 2)) == pytest.approx(60 * 30)
 
 
 def test_the_pictures_of_a_trial_are_those_of_its_worst_frame(tmp_path):

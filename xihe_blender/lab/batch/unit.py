@@ -230,8 +230,8 @@ def _means(probes: Sequence[ProbeResult]) -> dict[str, float | None]:
 
 
 def estimates_per_minute(chain: ChainResult, n_fired: int) -> float | None:
-    """Estimates per minute in which a position is in view, at the path's own frame rate; None without one in view."""
-    times = [entry.time_s for entry in chain.frames]
+    """Estimates per minute in which a position is in view, by the frames that reach the phone; None without one."""
+    times = [entry.time_s for entry in chain.frames if entry.is_delivered]
     n_steps = sum(len(entry.probes) for entry in chain.frames)
     if n_steps == 0 or len(times) < 2:
         return None
