@@ -2,7 +2,9 @@
 
 import contextlib
 import io
+import json
 import shutil
+import subprocess
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -17,9 +19,11 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.blender_process import write_result
-from xihe_blender.lab.batch.grid import BatchSettings
+from xihe_blender.lab.batch.grid import BatchSettings, planned_units
 from xihe_blender.lab.batch.results import WORST_KINDS, FilesRead, read_result, result_file, worst_picture
 from xihe_blender.lab.batch.unit import FACTORS, _record_frame, estimates_per_minute, evaluate_unit, step_ms
+from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
+from xihe_blender.lab.workers.processes import module_command
 from xihe_blender.scene.blend_file import open_blend
 from xihenet.io.json_files import read_json
 from xihenet.trigger import RULES
@@ -48,6 +52,17 @@ def test_what_the_first_frame_sets_up_is_no_part_of_a_step():
     frames = [SimpleNamespace(active=True, stage_ms={"sample": ms}, probes=[None]) for ms in (900.0, 10.0, 12.0)]
     assert step_ms(SimpleNamespace(frames=frames)) == 12.0
     assert step_ms(SimpleNamespace(frames=[])) is None
+
+
+def test_a_scene_that_was_saved_anew_in_the_meantime_is_refused(file, tmp_path):
+    (unit,), _ = planned_units([file], [SEED])
+    copy = tmp_path / "walk.blend"
+    copy.write_bytes(file.read_bytes() + b" ")
+    command = [*module_command("xihe_blender.lab.batch.blender_process"), str(copy), str(SEED), str(tmp_path / "unit")]
+    settings = json.dumps(as_json(FEWER))
+    ended = subprocess.run([*command, unit.content_sha256], input=settings, capture_output=True, text=True, check=False)
+    assert ended.returncode == EXIT_CANNOT_BE_DONE and "has changed since the batch began" in ended.stderr
+    assert not (tmp_path / "unit").exists()
 
 
 def test_a_phone_that_gets_every_second_frame_of_the_path_is_asked_half_as_often():

@@ -69,7 +69,7 @@ def _work(kept: BatchFolder, settings: BatchSettings, missing: Sequence[Unit]) -
         Work(
             unit.name,
             "xihe_blender.lab.batch.blender_process",
-            (str(unit.scene), str(unit.seed), str(kept.of_unit(unit))),
+            (str(unit.scene), str(unit.seed), str(kept.of_unit(unit)), unit.content_sha256),
             told=as_json(settings),
         )
         for unit in sorted(missing, key=lambda unit: -unit.scene.stat().st_size)

@@ -1,9 +1,10 @@
 """The process with Blender in it, which evaluates one unit and ends.
 
-Started by a worker as `python -m xihe_blender.lab.batch.blender_process SCENE SEED FOLDER`, with its settings as JSON
-on stdin; it tells its share of the work on stdout, a number from 0 to 1 a line. The result is a file. A process
+Started by a worker as `python -m xihe_blender.lab.batch.blender_process SCENE SEED FOLDER SHA256`, with its settings as
+JSON on stdin; it tells its share of the work on stdout, a number from 0 to 1 a line. The result is a file. A process
 for each unit: loading Blender takes a second of the minute that a unit takes, memory is always given back, and a crash
-of Blender costs one unit, which is handed out again.
+of Blender costs one unit, which is handed out again. The scene may be saved anew while others are done: one that has
+not the content any more by which its folder goes is refused.
 
 Exit codes: 0 done, 2 the unit cannot be done, and the last line on stderr says why; anything else is a crash. Where the
 worker is gone, however it ended, nobody reads the shares, and the process ends within a second or two.
@@ -11,6 +12,7 @@ worker is gone, however it ended, nobody reads the shares, and the process ends 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import signal
@@ -33,10 +35,12 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from xihe_blender.lab.workers.processes import only_with_a_reader
 
-    scene, seed, folder = sys.argv[1:]
+    scene, seed, folder, sha256 = sys.argv[1:]
     settings = from_json(BatchSettings, json.load(sys.stdin))
     with blender_output_aside() as (stdout, stderr), only_with_a_reader(stdout.fileno()):
         try:
+            if hashlib.sha256(Path(scene).read_bytes()).hexdigest() != sha256:
+                raise UserError("it has changed since the batch began: run the same command again")
             write_result(Path(scene), int(seed), Path(folder), settings, stdout)
         except (UserError, OSError) as error:
             words = format_disk_error(error) if isinstance(error, OSError) else str(error)

@@ -73,11 +73,12 @@ class BatchSettings:
 
 @dataclass(frozen=True)
 class Unit:
-    """One .blend, whose content has this digest, with one seed."""
+    """One .blend with one seed; `digest` is of its content, and of where it lies if that tells copies apart."""
 
     scene: Path
     seed: int
     digest: str
+    content_sha256: str
 
     @property
     def name(self) -> str:
@@ -101,7 +102,7 @@ def planned_units(scenes: Sequence[Path], seeds: Sequence[int]) -> tuple[list[Un
         copies = [other for other in contents if (other.name, contents[other]) == (scene.name, content)]
         apart = "" if scene == copies[0] else short_names(copies)[scene]
         digest = hashlib.sha256(content + os.fsencode(apart)).hexdigest()
-        units += [Unit(scene, seed, digest) for seed in seeds]
+        units += [Unit(scene, seed, digest, content.hex()) for seed in seeds]
     return units, broken
 
 
