@@ -49,6 +49,18 @@ def test_what_it_says_of_itself_comes_back_and_time_may_go_backwards(tmp_path, c
     assert_refused(again, "leave out --up")
 
 
+def test_a_replay_leaves_the_report_of_a_run_alone_and_says_what_it_lacks(tmp_path):
+    write_walk(tmp_path)
+    (tmp_path / "report.html").write_text("of a run")
+    at = ("replay", tmp_path, "--at", "0,0,0")
+    assert_refused(xihe_here(*at, "--out", tmp_path), "choose another folder for --out")
+    assert (tmp_path / "report.html").read_text() == "of a run"
+    scored = xihe_here("replay", tmp_path, "--score", "--to", "three", "--out", tmp_path / "out")
+    assert_refused(scored, "give --at X,Y,Z as well")
+    for _ in "once", "again":
+        assert xihe_here(*at, "--out", tmp_path / "out").returncode == 0
+
+
 def test_the_sessions_own_trigger_is_used_unless_another_is_chosen(tmp_path):
     write_walk(
         tmp_path / "in", n=4, facts=SessionFacts("a room", (), 1.0, TriggerSettings(policy="reference", theta=1.0))

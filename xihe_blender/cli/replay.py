@@ -135,6 +135,11 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
         raise UserError(f"--every: expected 1 or more, got {options.every}")
     if not (options.at or options.score):
         raise UserError("say where: give --at X,Y,Z in metres, or --score for places of the room's own")
+    if options.to is not None and not options.at:
+        raise UserError("--to writes the light at places: give --at X,Y,Z as well")
+    report, own = options.out / "report.html", options.out / "replay.json"
+    if report.exists() and not own.exists():
+        raise UserError(f"{report} is there and not of a replay: choose another folder for --out")
     if options.estimator == "truth":
         raise UserError("truth is a light probe rendered in Blender, which a recording does not have: choose another")
     try:
