@@ -43,6 +43,13 @@ def copied(kept, out):
     return out
 
 
+@pytest.mark.parametrize("name", ["projection", "truth"])
+def test_an_estimator_that_expects_no_error_is_refused_before_anything_is_rendered(scene, out, name):
+    with pytest.raises(UserError, match="does not say what error it expects"):
+        mapped(scene, out, replace(CAPTURED, estimator=name))
+    assert not out.exists()
+
+
 def test_a_map_has_places_with_their_light_and_leaves_the_scene_as_it_was(scene, out):
     with nothing_changes():
         results = mapped(scene, out, wanted=replace(FEW, n_verified=4))

@@ -30,13 +30,14 @@ from xihe_blender.jobs import Job, Progress
 from xihe_blender.previs.kept_session import KeptSession, capture_path, measured_lights, path_facts
 from xihe_blender.previs.prepare import PreparedRun
 from xihe_blender.previs.room_from_above import WIDTH_PX, RoomFromAbove
-from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihe_blender.report.placement import write_placement_report
 from xihe_blender.scene.state import scene_kept
 from xihenet.camera import project_points, unproject_frame, valid_plane_depth
 from xihenet.camera_path.kept_path import FoundLight
 from xihenet.camera_path.placement import REACH_M, air_places, evenly_chosen, places_among, seen_extent, upward_points
 from xihenet.colour import LUMINANCE
+from xihenet.estimators import Estimator
 from xihenet.metrics import shc_rmse
 from xihenet.paired import rank_correlation, rank_correlation_interval
 from xihenet.records import ArrayF32, ArrayF64, ArrayInt, ArrayU8, RgbdFrame
@@ -103,8 +104,10 @@ def placement(
 ) -> Job[PlacementResults]:
     """A job: the placement map of `scene`, in the folder `out`: placement.json, .csv, pictures and report.
 
-    The captures are kept there and resumed. UserError for a scene without a camera, or where nothing is to be placed.
+    The captures are kept there and resumed. UserError for a scene without a camera, or where nothing is to be placed,
+    and as of `check_expects_error`.
     """
+    check_expects_error(settings)
     with contextlib.ExitStack() as held, scene_kept():
         captured = yield from capture_path(scene, out, settings, "a placement map", held, blend_file=blend_file)
         run, session = captured.run, captured.session
@@ -124,6 +127,16 @@ def placement(
         write_csv(out / "placement.csv", [_row(place) for place in results.places], list(_row(results.places[0])))
         write_json(out / "placement.json", as_json(results))
         return results
+
+
+def check_expects_error(settings: PrevisSettings) -> None:
+    """UserError for an estimator that does not say what error it expects, which is what the map shows."""
+    (estimator, *_) = load_estimators(settings)
+    if type(estimator).estimate_with_error is Estimator.estimate_with_error:
+        raise UserError(
+            f"estimator {settings.estimator!r} does not say what error it expects, so that a map of it would show "
+            "nothing: choose lattice"
+        )
 
 
 def _row(place: Place) -> dict[str, Any]:
@@ -148,8 +161,9 @@ class MappedPlaces:
 def map_places(session: KeptSession, wanted: PlacementSettings) -> Job[MappedPlaces]:
     """A job: the light at every place that the frames of `session` show. Nothing is rendered.
 
-    UserError where there is no place.
+    UserError where there is no place, and as of `check_expects_error`.
     """
+    check_expects_error(session.settings)
     # A map shows irradiance alone: with the key light it takes 1.7 times as long.
     session = replace(session, settings=replace(session.settings, light="sh"))
     places_m, spacing_m = yield from find_places(session, wanted)
