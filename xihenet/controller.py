@@ -259,17 +259,18 @@ class XiheController:
         if decision.fire:
             with clock.stage("merge"):
                 look.followed, look.n_followed = self._following(position.buffers, sampled)
+                look.reflected = position.reflected
                 if look.n_followed and position.reflected is not None and self.fine_lattice is not None:
                     beside = self.lattice.nearest(self.fine_lattice.directions)
                     before, now = position.buffers.persistent, look.followed.persistent
-                    position.reflected = follow_coarser(position.reflected, before, now, beside)
+                    look.reflected = follow_coarser(position.reflected, before, now, beside)
             with clock.stage("encode"):
                 look.payload = encode_cloud(look.followed.temporary, settings.codec)
             look.context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
             # Where only more came into view, older views of a surface are as true as newer ones.
             is_changed = decision.reason != "coverage" or look.n_followed > 0
             look.fired = look.followed.fired(is_changed=is_changed)
-        position.buffers, position.decision = buffers, decision
+        position.buffers, position.decision = replace(buffers, temporary=look.followed.temporary), decision
         return look
 
     def _ask(self, looks: Sequence[_Look]) -> None:
@@ -291,6 +292,7 @@ class XiheController:
             cloud, unknown_because = look.fired.persistent, estimate.unknown_because
             invalid = {**invalid, **self._clamped(look.followed.temporary, cloud)}
             if estimate.is_valid:
+                position.reflected = look.reflected
                 with look.clock.stage("estimate"):
                     before = position.light.key if position.light else None
                     estimate = replace(estimate, key=self._key_light(estimate, position, before))
@@ -299,7 +301,8 @@ class XiheController:
                 estimate = replace(estimate, reflected=reflected, seen=look.sampled)
                 position.buffers, position.light, position.lit_at_m = look.fired, estimate, position.position_m
                 position.carried = CarriedLight(estimate) if self.settings.between_estimates == "carried" else None
-            # Else what was seen is still unanswered, and the trigger goes on to ask.
+            # Else what was seen is still unanswered, and the trigger goes on to ask: against what the light in use was
+            # made from, so that only the temporary cloud has followed the light.
         return StepReport(
             look.decision,
             estimate,
@@ -419,6 +422,8 @@ class _Look:
     followed: PositionBuffers
     """With the frame, and as it is with what is out of view changed as the light did where the trigger fired."""
     n_followed: int = 0
+    reflected: UnitSphereCloud | None = None
+    """That of the position, followed too; it takes its place once there is an answer, or it would follow twice."""
     payload: bytes = b""
     context: EstimateContext | None = None
     """None where nothing is asked for."""

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from addon_tests.pure.made import UPRIGHT, about_z, pose_of
 from xihenet import estimators
-from xihenet.backend import LocalBackend
+from xihenet.backend import LocalBackend, NoAnswer
 from xihenet.buffers import merge
 from xihenet.camera import pixel_rays
 from xihenet.colour import linear_to_srgb, srgb_to_linear
@@ -195,6 +195,41 @@ def test_the_finer_sphere_of_a_session_follows_as_well_and_is_handed_out_for_ref
     stale = on.reflected.is_set & (shown[0] != shown[1])
     assert stale.sum() > 50 and np.median(shown[0][stale] / shown[1][stale]) == pytest.approx(0.25, rel=0.1)
     assert walk(lights, FOLLOWING, has_key_light=True)[-1].estimate.reflected is None
+
+
+class Silent(LocalBackend):
+    """Answers while it is not `lost`."""
+
+    lost = False
+
+    def __init__(self):
+        super().__init__(estimators.load("projection", N))
+        self.estimate_with_error = self._answer
+
+    def _answer(self, cloud, context=None):
+        if self.lost:
+            raise NoAnswer("the server does not answer")
+        return self.estimator.estimate_with_error(cloud, context)
+
+
+def after_a_lost_server(n_unanswered):
+    """The first estimate after a lamp went down, which had no answer for so many frames of one view."""
+    chain = ControllerSettings(TriggerSettings(theta=0.02, ignored_share=0.25), has_reflections=True)
+    controller = XiheController(backend := Silent(), chain)
+    controller.add_position("Ball", POSITION)
+    for i in range(6):
+        controller.step(looking(0.25 * np.sin(i), 1.0, i))
+    for i in range(n_unanswered + 1):
+        backend.lost = i < n_unanswered
+        report = controller.step(looking(0.25 * np.sin(6), 0.5, 6 + i))["Ball"]
+        assert report.decision.fire and report.estimate.is_valid != backend.lost
+    return report.estimate
+
+
+def test_what_is_out_of_view_follows_a_lamp_once_however_often_the_server_is_asked():
+    once, late = (after_a_lost_server(n) for n in (0, 4))
+    np.testing.assert_array_equal(late.sh_radiance, once.sh_radiance)
+    np.testing.assert_array_equal(late.reflected.srgb, once.reflected.srgb)
 
 
 ALL_CHANGED = LightFollowing(smallest_stops=0.25, agreeing_share=0.5, most_unchanged=0.1)
