@@ -172,6 +172,19 @@ def test_positions_are_bounded_per_session_and_in_all(kept):
     assert store.counts() == (0, 0) and store.session(two.id) is None
 
 
+@pytest.mark.parametrize("later_s", [60, 120])
+def test_sessions_without_positions_make_no_room_for_one(kept, later_s):
+    store = kept.store(n_positions=2, idle_s=100, least_idle_s=50)
+    empty, one = added(store, 2)
+    kept.pass_time(later_s)
+    one = one if later_s == 60 else added(store, 1)[0]
+    for name in "ab":
+        put(store, one.id, name, SEEN)
+    with pytest.raises(StoreFull, match="2 positions are known"):
+        put(store, one.id, "c", SEEN)
+    assert store.counts()[1] == 2 and (store.session(empty.id) is None) == (later_s == 120)
+
+
 def test_what_is_not_there_is_not_kept_or_found(kept):
     store = kept.store()
     for nobody in ("nobody", "", "x" * 10_000, "\udcff", session().id):

@@ -97,13 +97,19 @@ local function expire()
     return #gone
 end
 
+local function n_known() return tonumber(redis.call('GET', total) or 0) end
+
 local function make_room(but)
-    if expire() > 0 then return true end
-    local oldest = redis.call('ZRANGE', used, 0, 1, 'WITHSCORES')
-    local at = oldest[1] == but and 3 or 1
-    if not oldest[at] or now - oldest[at + 1] < least_idle then return false end
-    forget(oldest[at])
-    return true
+    local before = n_known()
+    if expire() > 0 and (but == '' or n_known() < before) then return true end
+    for _, one in ipairs(redis.call('ZRANGEBYSCORE', used, '-inf', now - least_idle)) do
+        local has_some = but == '' or tonumber(redis.call('HGET', sizes, one) or 0) > 0
+        if one ~= but and has_some then
+            forget(one)
+            return true
+        end
+    end
+    return false
 end
 """
 
@@ -145,7 +151,7 @@ local known = redis.call('HGET', key_of(id), mark_of(field))
 if (known or '') ~= before then return 'overtaken' end
 if not known then
     if tonumber(redis.call('HGET', sizes, id) or 0) >= most_of_session then return 'session is full' end
-    if tonumber(redis.call('GET', total) or 0) >= most_positions and not make_room(id) then return 'full' end
+    if n_known() >= most_positions and not make_room(id) then return 'full' end
     redis.call('HINCRBY', sizes, id, 1)
     redis.call('INCR', total)
 end
@@ -160,7 +166,7 @@ return 1
 """,
     "counts": """
 expire()
-return {redis.call('ZCARD', used), tonumber(redis.call('GET', total) or 0)}
+return {redis.call('ZCARD', used), n_known()}
 """,
 }
 

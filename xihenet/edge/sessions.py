@@ -274,10 +274,15 @@ class MemoryStore:
         return kept
 
     def _make_room(self, full: str, but: str = "") -> None:
-        """Forget what has expired or else one idle session; `StoreFull` if there is none."""
-        if self.expire():
+        """Forget what has expired or else one idle session; `StoreFull` if there is none.
+
+        With `but`, the session that wants it, room is for a position: forgetting sessions without any makes none.
+        """
+        n_before = self._n_positions
+        if self.expire() and not (but and self._n_positions == n_before):
             return
-        oldest = next((name for name in self._kept if name != but), None)
+        makes_room = (name for name, kept in self._kept.items() if name != but and (kept.positions or not but))
+        oldest = next(makes_room, None)
         if oldest is None or self._clock() - self._kept[oldest].used_s < self.limits.least_idle_s:
             raise StoreFull(full)
         self.delete(oldest)
