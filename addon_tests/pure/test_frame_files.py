@@ -31,7 +31,7 @@ from xihenet.camera import encode_exposed, unproject_frame, valid_plane_depth
 from xihenet.colour import LUMINANCE, linear_to_srgb, srgb_to_linear
 from xihenet.io import exr, frame_files, image_files, openexr_package
 from xihenet.io.frame_files import read_camera, read_frame
-from xihenet.io.image_files import area_averaged
+from xihenet.io.image_files import area_averaged, read_plane_depth
 from xihenet.phone.metering import KEY_LUMINANCE
 
 RADIANCE, PLANE_DEPTH_M = box_radiance_and_plane_depth()
@@ -239,6 +239,17 @@ def test_plane_depth_of_16_bits_keeps_its_largest_value_and_its_holes(tmp_path, 
     np.testing.assert_allclose(frame.plane_depth_m[2:], 65.534, rtol=1e-6)
     assert not frame.plane_depth_m[:2].any() and frame.invalid == {"no_distance": 2 * WIDTH}
     np.testing.assert_array_equal(unproject_frame(frame).grid.openings, np.arange(2 * WIDTH))
+
+
+@pytest.mark.parametrize("white", [300, 10_000, 65_535])
+@pytest.mark.parametrize("is_text", [False, True])
+def test_plane_depth_as_pgm_is_what_stands_there_whatever_is_said_to_be_white(tmp_path, white, is_text):
+    stored = np.array([[0, 255, 300], [256, 299, white]], np.uint16)
+    kind, numbers = ("P2", stored.tolist()) if is_text else ("P5", stored.astype(">u2").tobytes())
+    content = str(numbers).translate(str.maketrans("[],", "   ")).encode() if is_text else numbers
+    path = tmp_path / "depth.pgm"
+    path.write_bytes(f"{kind}\n# of a tool\n3 2\n{white}\n".encode() + content)
+    np.testing.assert_array_equal(read_plane_depth(path, 1.0)[0], np.where(stored == 65_535, 0, stored))
 
 
 @pytest.mark.parametrize("factor", [1, 2, 7.5])

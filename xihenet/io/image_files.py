@@ -44,6 +44,7 @@ def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[in
                 f"{path}: expected a grey image of 16 bits, got pixels of mode {image.mode}: "
                 "save distances as whole numbers, such as millimetres, in a PNG of 16 bits"
             )
+        brightest = _brightest_in_file(image)
     rows, columns = picked_pixels(image.height, image.width, MOST_POINTS)
     picked, top = [], 0
     for strip in _strips(image):
@@ -51,10 +52,20 @@ def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[in
         picked.append(strip[np.ix_(rows[start:end] - top, columns)].astype(np.float64))
         top += len(strip)
     units = np.concatenate(picked)
-    if image.mode != "I" or image.format == "PNG":  # Older versions of Pillow read 16 bits into 32.
+    if brightest is not None:
+        units = np.rint(units * (brightest / NONE_IN_16_BITS))
+    if image.mode != "I" or image.format in ("PNG", "PPM"):  # Pillow may read 16 bits of these into 32.
         units[units == NONE_IN_16_BITS] = 0
     with np.errstate(over="ignore"):  # What is beyond any number is infinite, and no distance.
         return (units * depth_scale).astype(np.float32), image.size
+
+
+def _brightest_in_file(image: Any) -> int | None:
+    """What a PGM says is white, by which Pillow stretches its numbers to 65535; None where they are as in the file."""
+    if image.format != "PPM":
+        return None
+    codec, _, _, said = image.tile[0]
+    return None if codec == "raw" else int(said[1])
 
 
 def read_colour(
