@@ -112,6 +112,38 @@ def test_parts_of_different_sizes_are_refused(tmp_path, camera):
         read_frame(path, camera)
 
 
+@NEEDS_OPENEXR
+@pytest.mark.parametrize("compression", ["ZIP_COMPRESSION", "PIZ_COMPRESSION"])
+def test_of_parts_with_channels_of_one_name_the_first_counts(tmp_path, camera, compression):
+    import OpenEXR
+
+    parts = []
+    for name, factor in (("beauty", 1), ("diffuse", 5)):
+        channels = dict(zip("RGB", np.moveaxis(RADIANCE * np.float32(factor), -1, 0), strict=True)) | {
+            "Z": PLANE_DEPTH_M
+        }
+        header = {"compression": getattr(OpenEXR, compression)}
+        parts.append(OpenEXR.Part(header, {c: np.ascontiguousarray(v) for c, v in channels.items()}, name))
+    with OpenEXR.File(parts) as file:
+        file.write(str(path := tmp_path / "frame.exr"))
+    np.testing.assert_array_equal(read_frame(path, camera, exposure=1).srgb_u8, encode_exposed(RADIANCE, 1))
+
+
+def test_a_part_of_a_picture_has_no_intrinsics_of_the_whole_one(tmp_path, camera):
+    """Half of it in the middle, which has the field's ratio of width to height."""
+    middle = np.s_[HEIGHT // 4 : HEIGHT // 4 + HEIGHT // 2, WIDTH // 4 : WIDTH // 4 + WIDTH // 2]
+    path = write_exr(tmp_path / "frame.exr", RADIANCE[middle], PLANE_DEPTH_M[middle])
+    content = path.read_bytes()
+    window, whole = (struct.pack("<4i", 0, 0, w - 1, h - 1) for w, h in ((WIDTH // 2, HEIGHT // 2), (WIDTH, HEIGHT)))
+    display = b"displayWindow\0box2i\0" + struct.pack("<i", 16)
+    assert display + window in content
+    path.write_bytes(content.replace(display + window, display + whole))
+    with pytest.raises(ValueError, match=f"has {WIDTH // 2}x{HEIGHT // 2} pixels of a picture of {WIDTH}x{HEIGHT}"):
+        read_frame(path, camera)
+    own = write_camera(tmp_path / "own.json", width=WIDTH // 2, height=HEIGHT // 2, cx=12.0, cy=9.0)
+    assert read_frame(path, read_camera(own)).intrinsics.cx == 12.0
+
+
 def write_in(space, colour, path):
     channels = {name: np.full_like(PLANE_DEPTH_M, value) for name, value in zip("RGB", colour, strict=True)}
     exr.write_exr(path, channels | {"Z": PLANE_DEPTH_M}, attributes={"colorInteropID": space})

@@ -70,6 +70,7 @@ class _Part:
     width: int
     height: int
     first_row: int
+    displayed: tuple[int, int]  # (H, W) of the whole picture, of which its pixels may be a part
     other: str = ""
     checksum: bytes | None = None
 
@@ -84,7 +85,12 @@ class _Part:
 
 def exr_sizes(path: Path) -> dict[str, tuple[int, int]]:
     """(H, W) of every channel by its full name, as the header says it, of any OpenEXR file; raises as `read_exr`."""
-    return _of_header(path, _sizes_of)
+    return _of_header(path, lambda content: _by_channel(content, lambda part: (part.height, part.width)))
+
+
+def exr_displayed_sizes(path: Path) -> dict[str, tuple[int, int]]:
+    """(H, W) of the picture that every channel shows all of, or a part, or more; raises as `read_exr`."""
+    return _of_header(path, lambda content: _by_channel(content, lambda part: part.displayed))
 
 
 def exr_attributes(path: Path) -> dict[str, Attribute]:
@@ -104,9 +110,12 @@ def exr_colour_space(path: Path) -> str:
     return stored.decode(errors="replace")
 
 
-def _sizes_of(content: bytes) -> dict[str, tuple[int, int]]:
-    parts, _ = _parts(content)
-    return {name: (part.height, part.width) for part in parts for name, _ in part.channels}
+def _by_channel(content: bytes, of: Callable[[_Part], _T]) -> dict[str, _T]:
+    """What each channel's part says; of parts with channels of one name the first."""
+    found: dict[str, _T] = {}
+    for part in _parts(content)[0]:
+        found |= {name: of(part) for name, _ in part.channels if name not in found}
+    return found
 
 
 def _of_header(path: Path, read: Callable[[bytes], _T]) -> _T:
@@ -129,8 +138,9 @@ def read_exr(
 ) -> dict[str, ArrayF32]:
     """Channels as (H, W) float32 by their full names, such as "ViewLayer.Combined.R"; row 0 is the top.
 
-    All parts come as one table: Blender 4.x writes all passes as one part, 5.x one part for each. Of `names`, those
-    that are not there are left out, None reads all; parts of more than `most_pixels` are thinned, see `picked_pixels`.
+    All parts come as one table: Blender 4.x writes all passes as one part, 5.x one part for each. Of several channels
+    of one name, as parts for two eyes have them, the first counts. Of `names`, those that are not there are left out,
+    None reads all; parts of more than `most_pixels` are thinned, see `picked_pixels`.
 
     OSError if the file cannot be opened; OtherExr if it is tiled, deep, subsampled or compressed otherwise than with
     ZIP; ValueError if it is no OpenEXR file, is cut short, is broken or has rows of gigabytes.
@@ -161,11 +171,13 @@ def _stored_channels(
     is_multi_part = bool(_flags(content) & MULTI_PART)
     if parts[0].checksum not in (None, _checksum(content[at + 8 * parts[0].n_chunks :])):
         raise ValueError("the pixels are not those that were written")
+    known: set[str] = set()
     for number, part in enumerate(parts):
         offsets = np.frombuffer(content, "<u8", part.n_chunks, at).tolist()
         at += 8 * part.n_chunks
         chunks = _chunks(content, part, offsets, number if is_multi_part else None)
-        wanted = [name for name, _ in part.channels if names is None or name in names]
+        wanted = [name for name, _ in part.channels if name not in known and (names is None or name in names)]
+        known.update(wanted)
         if wanted:
             yield from _channels_of(part, chunks, wanted, most_pixels).items()
 
@@ -197,7 +209,7 @@ def write_exr(
     height, width = next(iter(sizes))
     kinds = [(name, _stored_kind(name, values)) for name, values in arrays.items()]
     rows = [np.ascontiguousarray(arrays[name], kind).view(np.uint8).reshape(height, -1) for name, kind in kinds]
-    part = _Part(kinds, compression, width, height, 0)
+    part = _Part(kinds, compression, width, height, 0, (height, width))
     path.write_bytes(_file(part, np.concatenate(rows, axis=1), said))
 
 
@@ -293,6 +305,8 @@ def _part(attributes: Mapping[str, bytes], flags: int) -> _Part:
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     if right < left or bottom < top:
         raise ValueError("the picture has no pixels")
+    shown = struct.unpack("<4i", attributes.get("displayWindow", attributes["dataWindow"]))
+    displayed = shown[3] - shown[1] + 1, shown[2] - shown[0] + 1
     channels, is_subsampled = _channel_list(attributes["channels"])
     kind = attributes.get("type", b"scanlineimage").decode(errors="replace")
     other = ""
@@ -305,7 +319,8 @@ def _part(attributes: Mapping[str, bytes], flags: int) -> _Part:
     elif is_subsampled:
         other = "subsampled channels cannot be read"
     checksum = attributes.get(CHECKSUM) if compression == "none" else None
-    return _Part(channels, compression, right - left + 1, bottom - top + 1, top, other, checksum)
+    size = right - left + 1, bottom - top + 1
+    return _Part(channels, compression, *size, top, displayed, other, checksum)
 
 
 def _channel_list(content: bytes) -> tuple[_Channels, bool]:

@@ -291,6 +291,7 @@ def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdF
         raise ValueError(f"{path}: expected colour and plane depth of one size, got {sorted(of_frame)} (rows, columns)")
     height, width = sizes[plane_depth_channel]
     check_size(path, height, width)
+    _check_is_all(path, (width, height), exr.exr_displayed_sizes(path)[plane_depth_channel][::-1], camera.intrinsics)
     channels = read_exr_channels(path, {*colour, plane_depth_channel}, most_pixels=MOST_POINTS)
     radiance, plane_depth_m = np.stack([channels[name] for name in colour], axis=-1), channels[plane_depth_channel]
     radiance = _in_rec709(radiance, exr.exr_colour_space(path), path)
@@ -300,6 +301,17 @@ def _exr_frame(path: Path, camera: FrameCamera, exposure: float | None) -> RgbdF
     fix = "save the Z pass too, and let the camera see surfaces"
     measured = sound_plane_depth(plane_depth_m, radiance)
     return _frame(encode_exposed(radiance, exposure), measured, (width, height), camera, exposure, path, fix)
+
+
+def _check_is_all(path: Path, stored: tuple[int, int], displayed: tuple[int, int], k: Intrinsics) -> None:
+    """ValueError where a file of which `stored` pixels are a part of the picture, or more, has intrinsics for another
+    number of pixels: scaled to the file's they would be those of another field of view."""
+    if displayed != stored != (k.width, k.height):
+        size, whole = (f"{width}x{height}" for width, height in (stored, displayed))
+        raise ValueError(
+            f"{path}: it has {size} pixels of a picture of {whole}, and the intrinsics are for {k.width}x{k.height}: "
+            f"save all of the picture and no more, or give intrinsics for the {size} pixels"
+        )
 
 
 def _in_rec709(radiance: ArrayF32, space: str, path: Path) -> ArrayF32:

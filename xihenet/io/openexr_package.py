@@ -55,6 +55,7 @@ def store_channels(path: str, out: str) -> None:
     with OpenEXR.File(path, separate_channels=True) as file:
         for part in file.parts:
             for name, channel in part.channels.items():
-                channels[name] = channel.pixels.astype(np.float32, copy=False)
+                if name not in channels:  # As in `exr.read_exr` the first part counts.
+                    channels[name] = channel.pixels.astype(np.float32, copy=False)
     arrays = {f"channel_{index}": pixels for index, pixels in enumerate(channels.values())}
     np.savez(out, names=np.array(list(channels), dtype=str), **arrays)
