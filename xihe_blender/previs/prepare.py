@@ -49,6 +49,10 @@ truth and of all methods, where a million samples of a capture are 1: measured i
 METHODS_WORK_WITH_SHADOWS = 1.6
 """The same of all methods where they have suns and shadow catchers: 28 s in place of 7 in `living_room`, Draft."""
 
+FEW_LAYERS = 9
+"""Objects times methods, each a view layer, up to which these hold: three each. From there on work rises with layers: an
+imported model of 68 parts takes minutes for each frame."""
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
@@ -121,11 +125,13 @@ class PreparedRun:
             return {"capture": 0.1 * len(self.plan.frames), "methods": float(len(self.plan.frames))}
         n, megapixels = self.n_renders, self.plan.size[0] * self.plan.size[1] / 1e6
         compared = n["comparison"] * megapixels * self.comparison.samples  # Samples, in millions.
+        of_methods = METHODS_WORK_WITH_SHADOWS if self.settings.has_key_light else METHODS_WORK
+        layers = max(1.0, len(self.plan.objects) * len(self.methods) / FEW_LAYERS)
         return {
             "capture": n["capture"] * megapixels * self.capture.samples,
             "reference light": n["probe"] * PROBE_WORK,
             "ground truth": TRUTH_WORK * compared,
-            "methods": (METHODS_WORK_WITH_SHADOWS if self.settings.has_key_light else METHODS_WORK) * compared,
+            "methods": of_methods * layers * compared,
         }
 
     def progress(self, stage: str, done_share: float, doing: str) -> Progress:
