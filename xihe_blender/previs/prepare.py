@@ -50,7 +50,7 @@ METHODS_WORK_WITH_SHADOWS = 1.6
 """The same of all methods where they have suns and shadow catchers: 28 s in place of 7 in `living_room`, Draft."""
 
 FEW_LAYERS = 9
-"""Objects times methods, each a view layer, up to which these hold: three each. From there on work rises with layers: an
+"""Objects times methods, each a view layer, up to which these hold: three each. From there on work rises with them: an
 imported model of 68 parts takes minutes for each frame."""
 
 
