@@ -372,6 +372,7 @@ MISTAKES = {
         "--frames 1:5:0": "1 or more",
         "--frames 1:6": "choose frames within it",
         "--frames 0:1": "choose frames within it",
+        "--frames -3:1": "choose frames within it",
         "--frames 1:99999999999": "last frame",
         "--size 0x0": "4 to 8192",
         "--size 10": "WxH",

@@ -166,11 +166,11 @@ def command_parser(command: str | None = None) -> argparse.ArgumentParser:
 
 
 def with_positions_bound(typed: Sequence[str]) -> list[str]:
-    """`typed` with "--at", "-1,0,2" as one word: on its own, what begins with a minus looks like an option."""
+    """`typed` with "--at", "-1,0,2" as one word, and frames as well: what begins with a minus looks like an option."""
     bound: list[str] = []
     for word in typed:
-        if bound and bound[-1] == "--at" and re.match(r"-[\d.]", word):
-            bound[-1] = f"--at={word}"
+        if bound and bound[-1] in ("--at", "--frames") and re.match(r"-[\d.]", word):
+            bound[-1] += f"={word}"
         else:
             bound.append(word)
     return bound
