@@ -105,6 +105,7 @@ def test_objects_are_gltf_and_stay_where_they_are(done):
         ("RUN --to viewer --all", "leave out --all"),
         ("RUN --to viewer --units scene", "leave out --units"),
         ("RUN --to viewer --objects Nobody", "no virtual object 'Nobody'"),
+        ("RUN --to viewer --objects Table", "the run has no virtual object 'Table'; it has B"),
         ("RUN --to viewer --from nowhere.blend", "there is no nowhere.blend"),
         ("--to three", "give either RESULTS.json or --from"),
         ("--to three --from nowhere.blend", "nowhere.blend"),

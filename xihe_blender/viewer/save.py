@@ -21,7 +21,7 @@ from xihe_blender.scene.estimation_positions import box_corners_m
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.viewer.page import TURNED, ViewedObject, viewed_frames, viewer_page
-from xihenet.formats import as_spelled
+from xihenet.formats import as_spelled, format_names
 from xihenet.light.platforms import Y_UP
 from xihenet.records import ArrayF64
 
@@ -48,6 +48,8 @@ def save_viewer(
     there = {item.name: item for item in scene.objects}
     wanted = list(results.lights) if objects is None else as_spelled(objects, there)
     lacking = [name for name in wanted if name not in there]
+    if unlit := [name for name in wanted if name in there and name not in results.lights]:
+        raise UserError(f"the run has no virtual object {unlit[0]!r}; it has {format_names(results.lights)}")
     if lacking or not wanted:
         named = f"no virtual object {lacking[0]!r}" if lacking else "no virtual objects"
         raise UserError(f"{blend} has {named}: name another .blend by --from")
