@@ -1,5 +1,6 @@
 """Which trials make up a batch, and whose folder it is."""
 
+import contextlib
 import json
 import sys
 from dataclasses import fields, replace
@@ -15,7 +16,8 @@ from xihe_blender.io.folder_manifest import contents_sha256
 from xihe_blender.io.json_records import as_json, from_json, json_schema
 from xihe_blender.io.outputs import write_json
 from xihe_blender.io.run_results import METRICS, Metrics
-from xihe_blender.jobs import run_blocking
+from xihe_blender.jobs import Progress, run_blocking
+from xihe_blender.lab.batch import batch as batch_module
 from xihe_blender.lab.batch.batch import evaluate_batch
 from xihe_blender.lab.batch.grid import BatchSettings, planned_units
 from xihe_blender.lab.batch.results import (
@@ -131,6 +133,24 @@ def test_a_batch_begins_anew_where_all_of_the_last_one_was_refused(tmp_path):
         options = {"n_workers": 1, "scheduler": None, "frontier": None}
         found, _ = run_blocking(evaluate_batch([tmp_path / "none.blend"], tmp_path / "out", settings, (0,), **options))
         assert found.failed and found.settings == settings
+
+
+def test_a_unit_whose_files_have_changed_in_the_meantime_is_named(tmp_path, monkeypatch):
+    (tmp_path / "a.blend").write_bytes(b"one")
+    folder = BatchFolder(tmp_path / "out")
+
+    def run(work, _noun):
+        done = replace(NOTHING_DONE, read=FilesRead(patterns=("*.png",), sha256="of a picture that is gone"))
+        for one in work:
+            write_json(result_file(folder.path / "units" / one.name), as_json(done))
+            yield Progress(1, 1, one.name)
+
+    workers = SimpleNamespace(failed={}, check_workers=lambda *_: None, run=run)
+    monkeypatch.setattr(batch_module, "open_dask_workers", lambda *_: contextlib.nullcontext(workers))
+    monkeypatch.setattr(batch_module, "dashboard", lambda _: "no dashboard")
+    options = {"n_workers": 1, "scheduler": None, "frontier": None}
+    found, n_done = run_blocking(evaluate_batch([tmp_path / "a.blend"], folder.path, SETTINGS, (0,), **options))
+    assert n_done == 0 and [one.reason for one in found.failed] == [batch_module.OF_OTHER_FILES]
 
 
 @pytest.mark.parametrize("name", ["results.json", "report.html"])

@@ -14,6 +14,8 @@ from xihe_blender.lab.batch.results import BatchFolder, BatchResults, batch_resu
 from xihe_blender.lab.workers.dask_workers import Work, dashboard, open_dask_workers
 from xihe_blender.report.document import write_document
 
+OF_OTHER_FILES = "files that the scene reads have changed, or are others on the worker: run the same command again"
+
 
 def evaluate_batch(
     scenes: Sequence[Path],
@@ -56,7 +58,8 @@ def evaluate_batch(
             yield Progress(0, len(missing), f"{len(missing)} of {len(units)} units to do; {dashboard(workers)}")
             yield from workers.run(_work(kept, settings, missing), "unit")
             names = {unit.name: f"{unit.scene} (seed {unit.seed})" for unit in units}
-            failed |= {names[name]: reason for name, reason in workers.failed.items()}
+            reasons = {unit.name: OF_OTHER_FILES for unit in missing if kept.result(unit) is None} | workers.failed
+            failed |= {names[name]: reason for name, reason in reasons.items()}
         results = batch_results(kept, settings, units, failed)
         kept.write_tables(results)
         write_document(kept.path / "report.html", report_page(kept, results, measured))
