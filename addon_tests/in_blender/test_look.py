@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from previs_runs import CAPTURED, counted_renders, files_below, unfinished_files
 from scene_snapshot import nothing_changes
-from tiny_scenes import opened, phone
+from tiny_scenes import opened, phone, saved
 
 from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.apply.datablocks import BETTER_PATH, better_path_camera, has_anything
@@ -219,6 +219,16 @@ def test_a_camera_file_must_be_another_blend(tmp_path):
         with pytest.raises(UserError, match="another file"):
             check_camera_file(path, room)
     check_camera_file(tmp_path / "camera.BLEND", room)
+
+
+def test_a_camera_file_replaces_that_of_an_earlier_look_and_no_other(scene, away, tmp_path):
+    room, other, earlier = (tmp_path / f"{name}.blend" for name in ("room", "other", "earlier"))
+    room.touch()
+    saved(other)
+    save_better_path(scene, away, earlier)
+    check_camera_file(earlier, room)
+    with pytest.raises(UserError, match="is there already"):
+        check_camera_file(other, room)
 
 
 def test_a_look_is_for_objects_or_for_the_map(room_file, tmp_path):

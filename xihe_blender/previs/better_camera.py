@@ -7,6 +7,7 @@ as it takes; what else moves in the scene is not delayed. In a copy of the scene
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -94,6 +95,14 @@ def check_camera_file(path: Path, blend_file: Path) -> None:
         raise UserError(f"{path} is no .blend: give --camera a file such as {path.with_suffix('.blend').name}")
     if path.exists() and path.samefile(blend_file):  # By its path alone ROOM.blend would be another, on macOS.
         raise UserError(f"{path} is the scene itself, which is not changed: give --camera another file")
+    if path.exists() and not _has_better_camera(path):
+        raise UserError(f"{path} is there already, and not of an earlier look: give --camera another file")
+
+
+def _has_better_camera(path: Path) -> bool:
+    with contextlib.suppress(OSError), bpy.data.libraries.load(str(path)) as (saved, _):
+        return BETTER_PATH in saved.objects
+    return False
 
 
 def save_better_path(scene: bpy.types.Scene, away: LookAway, path: Path) -> None:
