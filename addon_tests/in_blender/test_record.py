@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from previs_runs import IPAD, LOOKS_AWAY, N_FRAMES, SMALL, QuickPrevis, counted_renders, unfinished_files, walk
 from results_schema import read_strictly
-from tiny_scenes import empty_scene, phone, room_with_a_virtual_sphere, saved, set_world
+from tiny_scenes import empty_scene, key, phone, room_with_a_virtual_sphere, saved, set_world
 
 from addon_tests.pure.commands import assert_refused, xihe_here
 from xihe_blender.capture.three_spheres import open_three_spheres
@@ -93,6 +93,15 @@ def test_the_true_light_is_that_of_the_run_and_measured_again_where_the_light_ch
     spheres = [read_radiance(tmp_path / by_frame[frame, "Ball"]["files"]["spheres"]) for frame in (1, LOOKS_AWAY + 1)]
     # The lamp is a sixth of what it was, and so is what the spheres show.
     assert dimmed[0] / dimmed[1] == pytest.approx(spheres[0].mean() / spheres[1].mean(), rel=0.2) and dimmed[1] > 0
+
+
+def test_the_true_light_of_an_object_that_moves_is_measured_where_it_is(tmp_path, small_light_probes):
+    scene = room_with_a_virtual_sphere(2, is_still=True)
+    key(scene.objects["Ball"], "location", {1: (0, 0, 0), 2: (0.5, 0, 0)})
+    record(scene, tmp_path / "out", FEW, has_truth=True)
+    first, second = read_strictly(tmp_path / "out" / "truth.json")["places"]
+    moved_m = np.array(second["position_m"]) - first["position_m"]
+    assert np.linalg.norm(moved_m) > 0.4 and first["hdr"] != second["hdr"]
 
 
 @pytest.fixture(scope="module")

@@ -84,7 +84,8 @@ def record_session(
         yield Progress(1, 1, "writing the recording")
         said = _write(out, _frames(run), run, wishes.layout)
         if places:
-            yield from _measure_truth(run, places, out, command)
+            # Where objects move their places do, as the survey has found.
+            yield from _measure_truth(run, truth_places(run.plan, wishes), out, command)
             said.append(f"the true light at {format_count(len(places), 'place')} in {TRUTH_FILE}")
         if wishes.layout == OURS:
             # Last: it says that the recording is whole.
