@@ -9,11 +9,12 @@ from dataclasses import replace
 from functools import partial
 
 import bpy
+import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 from results_schema import read_strictly
 from scene_snapshot import nothing_changes
-from tiny_scenes import material, room_with_a_virtual_sphere, saved
+from tiny_scenes import key, material, room_with_a_virtual_sphere, saved
 
 from xihe_blender.capture.reference_probe import ProbeSettings
 from xihe_blender.errors import UserError
@@ -26,7 +27,14 @@ from xihe_blender.lab.frontier.pictures import LIGHTS, PicturesTaken, are_whole,
 from xihe_blender.lab.frontier.points import MeasuredScene, family, group, groups, is_whole_scene
 from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.rendering import Round, is_whole_round
-from xihe_blender.lab.frontier.study import Prepared, are_whole_truths, exhaustive_render, frontier, is_whole
+from xihe_blender.lab.frontier.study import (
+    Prepared,
+    are_whole_truths,
+    exhaustive_render,
+    frontier,
+    is_whole,
+    survey_scene,
+)
 from xihe_blender.previs.presets import PRESETS
 from xihenet.io.json_files import read_json
 from xihenet.pareto import on_front
@@ -51,6 +59,14 @@ def little_to_do():
             few = replace(PRESETS[name], comparison_samples=samples, min_samples=samples, max_samples=samples)
             patch.setitem(PRESETS, name, few)
         yield
+
+
+def test_an_object_that_moves_is_estimated_where_it_is_in_a_picture():
+    scene = room_with_a_virtual_sphere(2, is_still=True)
+    key(scene.objects["Ball"], "location", {1: (0, 0, 0.85), 2: (0.5, 0, 0.85)})
+    plan, _ = survey_scene(scene)
+    (probe,) = plan.probes
+    assert np.linalg.norm(probe.at(2) - probe.at(1)) > 0.4
 
 
 @pytest.fixture(scope="module")

@@ -83,11 +83,11 @@ def test_the_true_light_is_that_of_the_run_and_measured_again_where_the_light_ch
     assert content["exposure"] == finished.results["settings"]["reference_exposure"]
     by_frame = {(one["frame"], one["name"]): one for one in content["places"]}
     assert {frame for frame, _ in by_frame} == {1, LOOKS_AWAY + 1}
-    shared = [key for key in by_frame if key in of_run]
+    shared = [which for which in by_frame if which in of_run]
     assert len(shared) == 2
-    for key in shared:
-        np.testing.assert_allclose(by_frame[key]["hdr"], of_run[key], rtol=1e-9, atol=1e-12)
-        for name in by_frame[key]["files"].values():
+    for which in shared:
+        np.testing.assert_allclose(by_frame[which]["hdr"], of_run[which], rtol=1e-9, atol=1e-12)
+        for name in by_frame[which]["files"].values():
             assert (tmp_path / name).stat().st_size > 0
     dimmed = [np.linalg.norm(by_frame[frame, "Ball"]["hdr"]) for frame in (1, LOOKS_AWAY + 1)]
     spheres = [read_radiance(tmp_path / by_frame[frame, "Ball"]["files"]["spheres"]) for frame in (1, LOOKS_AWAY + 1)]
@@ -97,7 +97,7 @@ def test_the_true_light_is_that_of_the_run_and_measured_again_where_the_light_ch
 
 def test_the_true_light_of_an_object_that_moves_is_measured_where_it_is(tmp_path, small_light_probes):
     scene = room_with_a_virtual_sphere(2, is_still=True)
-    key(scene.objects["Ball"], "location", {1: (0, 0, 0), 2: (0.5, 0, 0)})
+    key(scene.objects["Ball"], "location", {1: (0, 0, 0.85), 2: (0.5, 0, 0.85)})
     record(scene, tmp_path / "out", FEW, has_truth=True)
     first, second = read_strictly(tmp_path / "out" / "truth.json")["places"]
     moved_m = np.array(second["position_m"]) - first["position_m"]

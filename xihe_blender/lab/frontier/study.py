@@ -281,4 +281,4 @@ def survey_scene(scene: bpy.types.Scene, size: tuple[int, int] | None = None) ->
     survey = run_blocking(survey_path(scene, plan))
     if not pilot_views(plan, survey):
         raise UserError(f"scene {scene.name!r} never has a virtual object in view: move the camera's path, or objects")
-    return plan, survey
+    return survey.followed(plan), survey
