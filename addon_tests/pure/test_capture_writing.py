@@ -139,6 +139,16 @@ def test_frames_of_several_sizes_or_none_are_refused(tmp_path, name):
     assert not (tmp_path / "a").is_file() and not (tmp_path / "b").is_file() and not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.parametrize("x_axis", [(-1, 0, 0), (0.8, 0.6, 0)])
+@pytest.mark.parametrize("name", ["tum", pytest.param("record3d", marks=PACKED), pytest.param("stray", marks=VIDEO)])
+def test_cameras_that_mirror_or_shear_are_refused_where_poses_are_quaternions(tmp_path, name, x_axis):
+    frame = walk(SMALL, 1)[0]
+    pose = frame.world_from_camera.copy()
+    pose[:3, 0] = pose[:3, :3] @ x_axis
+    with pytest.raises(ValueError, match="mirrored or sheared"):
+        WRITERS[name](tmp_path / "a", [replace(frame, world_from_camera=pose)])
+
+
 def test_what_tum_has_no_place_for_is_refused(tmp_path):
     with pytest.raises(ValueError, match="its intrinsics change"):
         tum.write(tmp_path, [*walk(SMALL, 1), *walk(TUM, 1)])

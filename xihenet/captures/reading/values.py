@@ -14,6 +14,7 @@ from xihenet.records import ArrayF64
 
 FARTHEST_M = 1e6  # From the origin of a recording; what is given in millimetres is still nearer
 LONG_STEP_S = 5.0  # From one picture to the next: thirty a second in milliseconds are 33
+SKEWED = 0.01  # Ten times what a pose that is written with four digits may be off from a rotation
 SHORTEST, LONGEST = 1e-6, 1e6  # Of a quaternion that still says a direction
 
 
@@ -67,8 +68,13 @@ def of_length_1(quaternion: ArrayF64, name: str = "pose") -> ArrayF64:
 
 
 def quaternion_of(rotation: ArrayF64) -> ArrayF64:
-    """(4,) x, y, z, w of length 1 of a rotation (3, 3): the largest eigenvector of Bar-Itzhack's matrix (2000)."""
+    """(4,) x, y, z, w of length 1 of a rotation (3, 3): the largest eigenvector of Bar-Itzhack's matrix (2000).
+
+    ValueError for axes that mirror or shear, which no quaternion says.
+    """
     r = rotation
+    if not (np.abs(r.T @ r - np.eye(3)).max() < SKEWED and np.linalg.det(r) > 0):
+        raise ValueError("the camera is mirrored or sheared, which this layout cannot say: give it a scale of 1")
     k = np.array(
         [
             [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
