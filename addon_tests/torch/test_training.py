@@ -441,6 +441,11 @@ def test_training_stops_when_validation_no_longer_improves(caches, tmp_path):
     assert len(errors) < 40 and len(errors) - 1 - int(np.argmin(errors)) == 2
 
 
+def test_a_training_that_diverges_ends_with_what_to_do_and_not_as_if_it_were_done(caches, tmp_path):
+    with pytest.raises(ValueError, match="diverged in epoch 1, .* lower --learning-rate"):
+        train(quick(caches["sphere"], tmp_path, learning_rate=1e10))
+
+
 def test_the_expected_error_learns_the_mean_error(tmp_path):
     made, settings = torch.full((4, 9, 3), 0.3), quick(tmp_path, tmp_path)
     losses = {e: training_loss(made, torch.full((4,), e), torch.zeros(4, 9, 3), settings) for e in (0.2, 0.3, 0.4)}

@@ -117,7 +117,7 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
     """Train, or go on with a training that was stopped; the path of the best network's file.
 
     `stop_after` ends the call after that many epochs as if it had been interrupted. ValueError if the cache is missing,
-    a split that is needed is empty, or `settings.out` holds a training with other settings.
+    a split that is needed is empty, `settings.out` holds a training with other settings, or the loss is no number.
     """
     clouds, held_out = open_split(settings.cache, "train"), open_split(settings.cache, "validation")
     for name, split in (("train", clouds), ("validation", held_out)):
@@ -133,6 +133,11 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
     last_epoch = settings.epochs if stop_after is None else min(settings.epochs, first_epoch + stop_after)
     while run.epoch < last_epoch and run.epoch - run.best_epoch < settings.patience:
         loss = _train_epoch(run, clouds, settings, content)
+        if not np.isfinite(loss):
+            raise ValueError(
+                f"{settings.out}: the training diverged in epoch {run.epoch}, where its loss is {loss}: remove the folder "
+                "and train with a lower --learning-rate"
+            )
         _judge(run, held_out, settings, loss, yardstick)
         _save_checkpoint(run, settings, content)
         elapsed_s = time.monotonic() - started
