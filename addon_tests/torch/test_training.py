@@ -442,7 +442,7 @@ def test_training_stops_when_validation_no_longer_improves(caches, tmp_path):
 
 
 def test_a_training_that_diverges_ends_with_what_to_do_and_not_as_if_it_were_done(caches, tmp_path):
-    with pytest.raises(ValueError, match="diverged in epoch 1, .* lower --learning-rate"):
+    with pytest.raises(ValueError, match=r"diverged in epoch 1, .* lower --learning-rate"):
         train(quick(caches["sphere"], tmp_path, learning_rate=1e10))
 
 

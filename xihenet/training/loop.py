@@ -135,8 +135,8 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
         loss = _train_epoch(run, clouds, settings, content)
         if not np.isfinite(loss):
             raise ValueError(
-                f"{settings.out}: the training diverged in epoch {run.epoch}, where its loss is {loss}: remove the folder "
-                "and train with a lower --learning-rate"
+                f"{settings.out}: the training diverged in epoch {run.epoch}, where its loss is {loss}: remove the "
+                "folder, and train with a lower --learning-rate"
             )
         _judge(run, held_out, settings, loss, yardstick)
         _save_checkpoint(run, settings, content)
