@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from addon_tests.pure.furnished import as_measured, furniture, seen, walk_poses
+from xihenet.camera import sensed_ambient
 from xihenet.captures import drift as module
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.drift import DriftFollower, follow_drift, steadied
@@ -133,10 +134,11 @@ def without_depth(frame, value):
     return replace(frame, plane_depth_m=np.full_like(frame.plane_depth_m, value))
 
 
-def test_a_steadied_recording_has_the_gains_in_its_white_balance():
+def test_a_steadied_recording_has_the_gains_in_its_white_balance_and_ambient_light_without_them():
     gains, own = drifting(np.random.default_rng(0), 4), np.array([1.0, 2.0, 4.0])
     frames = session(0, gains, walk_poses(0, 30)[:4])
     frames[2] = replace(frames[2], white_balance=own)
+    frames = [replace(one, ambient=sensed_ambient(one.srgb_u8, 1.0)) for one in frames]
     moments = [
         CapturedFrame(n, 0.0, FrameCamera(one.intrinsics, one.world_from_camera, np.eye(3)), partial(replace, one))
         for n, one in enumerate(frames)
@@ -145,6 +147,7 @@ def test_a_steadied_recording_has_the_gains_in_its_white_balance():
     assert worst(drift, 1.0) > 0.1
     for n, one in enumerate(steady):
         np.testing.assert_array_equal(one.white_balance, drift.gains[n] * (own if n == 2 else 1))
+        np.testing.assert_array_equal(one.ambient, frames[n].ambient / drift.gains[n])
 
 
 def test_no_frame_and_one_frame():

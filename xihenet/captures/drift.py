@@ -184,7 +184,8 @@ def follow_drift(frames: Iterable[RgbdFrame]) -> Drift:
 
 
 def steadied(capture: Capture) -> tuple[Capture, Drift]:
-    """The recording with the drift of its exposure and white balance in `RgbdFrame.white_balance`, and that drift.
+    """The recording with the drift of its exposure and white balance in `RgbdFrame.white_balance` and taken out of
+    `RgbdFrame.ambient`, and that drift.
 
     Every frame is read for it. Raises as `CapturedFrame.read`.
     """
@@ -194,7 +195,10 @@ def steadied(capture: Capture) -> tuple[Capture, Drift]:
 
 
 def _with(gains: ArrayF64, read: RgbdFrame) -> RgbdFrame:
-    return replace(read, white_balance=gains if read.white_balance is None else read.white_balance * gains)
+    white_balance = gains if read.white_balance is None else read.white_balance * gains
+    # Where a file does not give its exposure, the light sensor's reading is the mean of the picture.
+    ambient = None if read.ambient is None else read.ambient / gains
+    return replace(read, white_balance=white_balance, ambient=ambient)
 
 
 def _readable(frame: RgbdFrame) -> ArrayBool:
