@@ -139,6 +139,15 @@ def test_frames_of_several_sizes_or_none_are_refused(tmp_path, name):
     assert not (tmp_path / "a").is_file() and not (tmp_path / "b").is_file() and not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.parametrize("numbers", [(-10, -9, -1, 0, 10), (0, 0, 0, 0, 0)])
+def test_frames_keep_their_order_as_nerfstudio_whatever_their_numbers_are(tmp_path, numbers):
+    frames = [replace(frame, frame=number) for frame, number in zip(walk(SMALL, 5), numbers, strict=True)]
+    nerfstudio.write(tmp_path, frames)
+    for one, other in zip(frames, open_capture(tmp_path), strict=True):
+        np.testing.assert_allclose(other.world_from_camera, one.world_from_camera, atol=1e-12)
+        np.testing.assert_array_equal(other.srgb_u8, one.srgb_u8)
+
+
 @pytest.mark.parametrize("x_axis", [(-1, 0, 0), (0.8, 0.6, 0)])
 @pytest.mark.parametrize("name", ["tum", pytest.param("record3d", marks=PACKED), pytest.param("stray", marks=VIDEO)])
 def test_cameras_that_mirror_or_shear_are_refused_where_poses_are_quaternions(tmp_path, name, x_axis):

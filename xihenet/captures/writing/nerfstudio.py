@@ -15,11 +15,14 @@ UNITS_PER_METRE = 1000
 
 
 def write(folder: Path, frames: Iterable[RgbdFrame]) -> Written:
-    """Pictures by the number of their frame, and transforms.json at the end. OSError if it cannot be written."""
+    """Pictures in the order of the frames, by which others sort them, and transforms.json at the end.
+
+    Not by the frames' own numbers, which may be below 0 or all the same. OSError if it cannot be written.
+    """
     entries, n_unheld = [], 0
     first: dict[str, Any] = {}
-    for frame in frames:
-        names = f"images/{frame.frame}.png", f"depth/{frame.frame}.png"
+    for number, frame in enumerate(frames, start=1):
+        names = f"images/{number}.png", f"depth/{number}.png"
         save_png(folder / names[0], frame.srgb_u8)
         n_unheld += save_depth(folder / names[1], frame, UNITS_PER_METRE)
         k = frame.intrinsics
