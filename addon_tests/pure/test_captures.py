@@ -402,3 +402,9 @@ def test_a_quaternion_is_a_rotation_whatever_its_length(seed):
     rotation = rotation_of(quaternion)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1) and np.allclose(rotation, rotation_of(-quaternion))
+
+
+def test_a_file_that_is_only_named_like_a_pose_of_7_scenes_is_no_recording(tmp_path):
+    (tmp_path / "frame-first.pose.txt").touch()
+    with pytest.raises(ValueError, match="holds no recording that is known"):
+        open_capture(tmp_path)

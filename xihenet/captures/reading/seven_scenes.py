@@ -23,7 +23,7 @@ FPS = 30.0
 
 
 def is_in(folder: Path) -> bool:
-    return any(folder.glob("frame-*.pose.txt"))
+    return any(NAME.fullmatch(path.name) for path in folder.glob("frame-*.pose.txt"))
 
 
 def read(folder: Path, up: str | None) -> Capture:
