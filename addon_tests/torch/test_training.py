@@ -13,6 +13,7 @@ from addon_tests.pure.made import UPRIGHT, pose_of
 from xihenet.camera import encode_exposed
 from xihenet.colour import linear_to_srgb
 from xihenet.estimators.lattice import Lattice
+from xihenet.estimators.lattice_format import load_weights
 from xihenet.estimators.weights_format import WEIGHTS_FOLDER
 from xihenet.mirror_ball import ball_directions, project_mirror_ball
 from xihenet.records import PointCloud, UnitSphereCloud
@@ -496,6 +497,17 @@ def test_an_exported_network_gives_what_the_trained_one_gives(caches, tmp_path):
     seen = srgb, np.linalg.norm(points, axis=2), clouds.is_set
     in_numpy = Lattice(N, weights=tmp_path / "w.npz").estimate_batch(*seen, facing=facing)
     np.testing.assert_allclose(in_numpy, light.numpy(), atol=1e-5)
+
+
+def test_weights_that_are_exported_again_keep_what_they_say_of_themselves(tmp_path):
+    shipped, again = WEIGHTS_FOLDER / "lattice_hdr.npz", tmp_path / "again.npz"
+    assert command_line.main(["export", str(shipped), str(again)]) == 0
+    first, second = map(load_weights, (shipped, again))
+    for name in ("data", "seed", "figures", "n_points", "target", "architecture"):
+        assert getattr(second, name) == getattr(first, name), name
+    assert first.figures and first.data
+    assert command_line.main(["export", str(shipped), str(again), "--data", "others"]) == 0
+    assert load_weights(again).data == "others" and load_weights(again).figures == first.figures
 
 
 def test_the_command_line_trains_exports_and_reports(rooms, tmp_path, capsys):

@@ -198,12 +198,15 @@ def export_network(
     trained: Path, out: Path, *, data: str = "", figures: Mapping[str, Any] | None = None, n_points: int | None = None,
     is_half: bool = True,
 ) -> None:  # fmt: skip
-    """Write the network in `trained` (.pt) to `out` (.npz), in float16 unless `is_half` is False.
+    """Write the network in `trained` (.pt, or .npz of `lattice`) to `out` (.npz), in float16 unless `is_half` is False.
 
     `data` and `figures` are for people to read. `n_points` are the anchors or points of the clouds it was trained with:
     `pointar` draws as many. ValueError if the file is broken or float16 cannot hold the weights.
     """
     loaded = load_network(trained)
+    if trained.suffix == ".npz":  # What it says of itself stays, but for what is given.
+        stored = load_weights(trained)
+        data, figures, n_points = data or stored.data, figures or stored.figures, n_points or stored.n_points
     notes = {"data": data, "seed": loaded.seed, "figures": figures or {}, "n_points": n_points}
     weights = weights_of(loaded.net, loaded.target, estimator=loaded.estimator, **notes)
     out.parent.mkdir(parents=True, exist_ok=True)
