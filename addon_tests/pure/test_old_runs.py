@@ -77,3 +77,12 @@ def test_the_space_that_runs_take_is_said(tmp_path):
     assert format_old_runs([one]) == "1 run, 2.3 MB"
     other = make_run(tmp_path, SECOND, n_bytes=20_000_000)
     assert format_old_runs([one, other]) == "2 runs, 22 MB"
+
+
+def test_a_run_is_measured_once_however_many_there_are(tmp_path, monkeypatch):
+    runs = [make_run(tmp_path, f"room_20260101-{k:06d}", n_bytes=1000) for k in range(300)]
+    said = format_old_runs(runs)
+    looked, rglob = [], Path.rglob
+    monkeypatch.setattr(Path, "rglob", lambda *given: looked.append(given) or rglob(*given))
+    assert format_old_runs(runs) == said == "300 runs, 301 kB"
+    assert not looked

@@ -59,7 +59,7 @@ def _is_run(path: Path) -> bool:
     return RunOutputs(path).results.is_file() or (lies_s > ABANDONED_S and not is_locked(RunOutputs(path).lock))
 
 
-@functools.lru_cache(maxsize=256)
+@functools.cache
 def _bytes_of(run: Path, _changed_ns: int) -> int:
     """Of all files below `run`; a run that has ended changes no more."""
     return sum(path.lstat().st_size for path in run.rglob("*") if path.is_file())
