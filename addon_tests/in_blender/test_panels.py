@@ -18,6 +18,7 @@ from addon_tests.pure import runs
 from xihe_blender.addon import panels
 from xihe_blender.addon import runs_folder as reader
 from xihe_blender.addon.failures import in_the_panels_words
+from xihe_blender.addon.polls import has_comparison
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.run_results import EffectResult
 from xihe_blender.previs.presets import PRESETS
@@ -142,6 +143,21 @@ def test_results_are_read_once_until_they_change(run_folder):
     before = path.stat().st_mtime
     os.utime(path, (before + 5, before + 5))
     assert reader.last_run(str(run_folder)).settings.estimator == "ambient"
+
+
+def test_whether_a_run_compared_a_frame_is_known_without_looking_through_its_pictures(run_folder, monkeypatch):
+    """Of a long run these are tens of thousands of files, and buttons are drawn with every move of the mouse."""
+    listed, scandir = [], os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: listed.append(path) or scandir(path))
+    with registered_addon():
+        bpy.context.scene.xihe.run_folder = str(run_folder)
+        assert has_comparison(bpy.context) == "The last run compared no frame: no virtual object was in view"
+        compared = runs.frame(4, runs.probe("Ball"), **runs.compared(["ground_truth"]))
+        content = CONTENT | {"frames": [*CONTENT["frames"], compared]}
+        (run_folder / "results.json").write_text(json.dumps(content), encoding="utf-8")
+        os.utime(run_folder / "results.json", (1, 1))
+        assert has_comparison(bpy.context) is None
+    assert not listed
 
 
 def test_results_that_are_none_and_a_folder_that_is_gone_are_no_run(tmp_path):

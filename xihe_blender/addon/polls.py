@@ -14,7 +14,7 @@ import bpy
 from xihe_blender.addon.background_run import BackgroundRun
 from xihe_blender.addon.preferences import runs_folder
 from xihe_blender.addon.properties import last_run_folder
-from xihe_blender.addon.runs_folder import RUN_IS_GONE, shown_runs
+from xihe_blender.addon.runs_folder import RUN_IS_GONE, last_run, shown_runs
 from xihe_blender.apply.datablocks import has_anything, trigger_markers
 from xihe_blender.io.old_runs import old_runs, runs_in
 from xihe_blender.scene.blend_file import ROOM
@@ -240,7 +240,9 @@ def has_comparison(context: bpy.types.Context) -> str | None:
     folder = last_run_folder(context.scene)
     if folder.joinpath("composited.mp4").is_file():
         return IS_CAPTURED
-    has_it = any(folder.joinpath("pictures").glob("ground_truth_*.png"))
+    # Not by looking for its pictures: a long run has tens of thousands of files beside them.
+    run = last_run(context.scene.xihe.run_folder)
+    has_it = run is not None and any(frame.compared is not None for frame in run.frames)
     return None if has_it else "The last run compared no frame: no virtual object was in view"
 
 
