@@ -16,9 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import bpy
-import numpy as np
-
-from xihenet.colour import LUMINANCE
 
 Groups = tuple[Any, ...]  # the group nodes that have been entered, outermost first
 UNKNOWN_ALBEDO = 0.8
@@ -181,7 +178,12 @@ def constant(socket: Any, groups: Groups) -> Any:
 def number(socket: Any, groups: Groups) -> float | None:
     """`constant` of an input that takes one number; of a colour that is linked to it the luminance, as in Cycles."""
     value = constant(socket, groups)
-    return float(np.dot(LUMINANCE, value)) if isinstance(value, tuple) else value
+    if not isinstance(value, tuple):
+        return value
+    # NumPy comes with it, which must wait: the panel imports this module.
+    from xihenet.colour import LUMINANCE
+
+    return float(LUMINANCE @ value)
 
 
 def largest(node: Any, name: str, groups: Groups) -> float | None:
