@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from previs_runs import counted_renders
 from shown_lights import keyed
-from tiny_scenes import key, opened, saved, sphere
+from tiny_scenes import empty_scene, key, opened, saved, sphere
 
 from xihe_blender.addon import live_light, panels
 from xihe_blender.addon.results_in_blender import apply_results
@@ -24,7 +24,7 @@ from xihe_blender.io.run_lights import LightsAsked, lights_asked
 from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.kept_session import open_kept_session
-from xihe_blender.scene.blend_file import open_blend
+from xihe_blender.scene.blend_file import ROOM, open_blend
 from xihe_blender.scene.estimation_positions import named_positions
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.light.key_light import rest_of
@@ -296,6 +296,14 @@ def test_a_file_that_was_saved_in_the_lit_scene_is_exported_as_one_saved_in_the_
         assert main(["export", "--from", str(file), "--to", "three", "--out", str(file.with_suffix(""))]) == 0
         written.append((file.with_suffix("") / "three.json").read_text())
     assert written[0] == written[1]
+
+
+def test_a_file_that_was_saved_in_the_lit_scene_is_opened_there_where_its_room_was_deleted(tmp_path):
+    empty_scene()
+    lit, room = bpy.data.scenes.new("Xihe Lit"), bpy.data.scenes.new("Room")
+    bpy.context.window.scene, lit[ROOM] = lit, room
+    bpy.data.scenes.remove(room)
+    assert open_blend(saved(tmp_path / "lit.blend")).name == "Xihe Lit"
 
 
 def test_show_lit_has_the_light_of_its_own_run_where_a_copy_of_the_scene_has_had_another(scene, lit_run, tmp_path):

@@ -46,8 +46,7 @@ def open_blend(path: Path) -> bpy.types.Scene:
         bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise UserError(f"{path} cannot be opened by Blender {bpy.app.version_string}: {error}") from error
-    if ROOM in bpy.context.scene:
-        bpy.context.window.scene = bpy.context.scene[ROOM]
+    bpy.context.window.scene = room_of(bpy.context.scene)
     return bpy.context.scene
 
 
