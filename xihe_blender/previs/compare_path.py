@@ -12,7 +12,6 @@ any light show the recording alone.
 from __future__ import annotations
 
 import functools
-import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from xihe_blender.compare import methods
 from xihe_blender.compare.methods import Comparer, Comparison, OverRecording
 from xihe_blender.compare.side_by_side import save_film
 from xihe_blender.io.exr import write_radiance
-from xihe_blender.io.json_records import as_json, read_record
+from xihe_blender.io.json_records import Json, as_json, read_record
 from xihe_blender.io.kept_files import kept_json, kept_record, read_kept
 from xihe_blender.io.outputs import RunOutputs, copy_whole, write_json, write_picture
 from xihe_blender.io.run_lights import as_surface_result
@@ -44,7 +43,10 @@ OBJECTS = "objects"
 """Beside the radiance of each method: the share of each pixel that objects cover, by which metrics weigh."""
 
 LIT_BY = "lit_by"
-"""Beside a comparison that is kept: what lights it is of."""
+"""Beside a comparison that is kept: the lights that it is of."""
+
+SAME_LIGHT = 1e-4
+"""Coefficients that differ by no more are the same: two computers add up in another order, a hundredth of that."""
 
 MOST_SEEN = 12
 """Captures in which surfaces are looked for, evenly spread: more show no more of a table."""
@@ -61,7 +63,7 @@ def compare_path(run: PreparedRun, chain: ChainResult) -> Job[dict[int, Compared
     compared, sources = yield from compare_frames(run, run.methods, lights, read, record)
     for frame in frames:
         if sources[frame] != frame:
-            kept = read(frame) if _is_lit_by(run.outputs, frame, lights[frame]) else None
+            kept = _kept(run.outputs, frame, lights[frame], read)
             compared[frame] = kept or _take_over(run.outputs, sources[frame], frame, lights[frame])
     return compared
 
@@ -81,8 +83,7 @@ def compare_frames(
     first: dict[tuple[Any, ...], int] = {}
     sources = {frame: first.setdefault(_made_from(run, frame, own), frame) for frame, own in lights.items()}
     own = [frame for frame, source in sources.items() if source == frame]
-    of_these = [frame for frame in own if _is_lit_by(run.outputs, frame, lights[frame])]
-    done = {frame: one for frame in of_these if (one := read(frame)) is not None}
+    done = {frame: one for frame in own if (one := _kept(run.outputs, frame, lights[frame], read)) is not None}
     missing = [frame for frame in own if frame not in done]
     if not missing:
         return done, sources
@@ -103,24 +104,29 @@ def compare_frames(
 
 
 def _keep(outputs: RunOutputs, frame: int, compared: object, lights: Lights) -> None:
-    write_json(outputs.compared(frame), as_json(compared) | {LIT_BY: _digest(lights)})
+    write_json(outputs.compared(frame), as_json(compared) | {LIT_BY: _noted(lights)})
 
 
-def _is_lit_by(outputs: RunOutputs, frame: int, lights: Lights) -> bool:
-    """Whether what is kept of `frame` is of these lights: an edge service may have answered otherwise before a stop.
+def _kept(outputs: RunOutputs, frame: int, lights: Lights, read: Callable[[int], Compared | None]) -> Compared | None:
+    """What `read` finds of `frame` if it is of these lights: an edge service may have answered otherwise before a stop.
 
-    Earlier versions did not note it.
+    Earlier versions did not note the lights.
     """
-    return kept_json(outputs.compared(frame), lambda kept: dict(kept).get(LIT_BY)) in (None, _digest(lights))
+    kept = read(frame)
+    is_of_these = kept is not None and kept_json(outputs.compared(frame), functools.partial(_is_lit_by, lights))
+    return kept if is_of_these else None
 
 
-def _digest(lights: Lights) -> str:
-    """Of the lights by method, but for what two computers may differ in."""
-    parts = hashlib.blake2b(digest_size=16)
-    for method, of_method in lights.items():
-        for name, light in of_method.items():
-            parts.update(f"{method}\n{name}\n".encode() + (light.sh.round(5) + 0.0).tobytes())
-    return parts.hexdigest()
+def _is_lit_by(lights: Lights, kept: Json) -> bool:
+    was, now = kept.get(LIT_BY), _noted(lights)
+    return was is None or (
+        was.keys() == now.keys() and all(np.allclose(was[of], now[of], atol=SAME_LIGHT) for of in now)
+    )
+
+
+def _noted(lights: Lights) -> dict[str, Json]:
+    """The coefficients by method and object."""
+    return {f"{method} {name}": one.sh.round(6).tolist() for method, of in lights.items() for name, one in of.items()}
 
 
 def kept_comparison(outputs: RunOutputs, frame: int) -> ComparedFrame | None:
