@@ -5,6 +5,7 @@ import pytest
 from tiny_scenes import add, box, room_with_a_virtual_sphere
 
 from xihe_blender.addon import polls
+from xihe_blender.previs.scene_faults import unseen_faults
 from xihe_blender.scene.virtual_objects import make_virtual, virtual_collection, virtual_objects
 
 
@@ -128,3 +129,18 @@ def test_a_build_without_a_denoiser_is_told(monkeypatch, has_denoiser):
     monkeypatch.setattr(_cycles, "with_openimagedenoise", has_denoiser)
     said = any("no denoiser" in doubt for doubt in polls.doubts(bpy.context.scene))
     assert said is not has_denoiser
+
+
+def test_a_model_of_many_parts_is_doubted_and_named_by_the_run():
+    scene = room_with_a_virtual_sphere()
+    root, home = add(scene, "Car", None), virtual_collection(scene)
+    inner = add(scene, "Doors", None)
+    inner.parent = root
+    for k in range(7):
+        box(scene, f"Part {k}", (0, 0, 1), (0.1, 0.1, 0.1), collection=home).parent = inner if k % 2 else root
+    assert not list(unseen_faults(scene))
+    bpy.data.objects["Ball"].parent = inner
+    said = "8 virtual objects hang on 'Car', and a run lights and renders them one by one"
+    assert any(doubt.startswith(said) for doubt in polls.doubts(scene))
+    (fault,) = unseen_faults(scene)
+    assert (fault.name, fault.n) == ("Car", 8) and fault.said.startswith(said)

@@ -23,6 +23,7 @@ from xihe_blender.scene.virtual_objects import (
     ancestors,
     has_renderable_geometry,
     is_bare_curve,
+    models_of_many_parts,
     rendered_collections,
     virtual_objects,
     with_parts,
@@ -132,7 +133,7 @@ def _doubts_of_objects(scene: bpy.types.Scene) -> list[str]:
         encloses, it = ("encloses", "is it") if len(around) == 1 else ("enclose", "are they")
         said = "Only what the phone inserts is to be virtual"
         found.append(f"{_named(around)} {encloses} the camera: {it} the room? {said}")
-    return found
+    return [*found, *(said for _, _, said in models_of_many_parts(virtual))]
 
 
 def _named(names: list[str]) -> str:

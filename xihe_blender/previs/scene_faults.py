@@ -32,7 +32,13 @@ from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.shader_nodes import constant, has_nodes
 from xihe_blender.scene.state import animated_paths
 from xihe_blender.scene.units import metres_per_unit
-from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, in_virtual_collection, rendered_collections
+from xihe_blender.scene.virtual_objects import (
+    GEOMETRY_TYPES,
+    in_virtual_collection,
+    models_of_many_parts,
+    rendered_collections,
+    virtual_objects,
+)
 from xihenet.records import ArrayF32, ArrayF64
 
 BRIGHTEST = 1e30
@@ -166,11 +172,14 @@ def _mesh_faults(mesh: bpy.types.Mesh) -> Iterator[Fault]:
 
 
 def unseen_faults(scene: bpy.types.Scene) -> Iterator[Fault]:
-    """What lights its surroundings while the phone sees a hole in its place, and lamps among the virtual objects.
+    """What lights its surroundings while the phone sees a hole in its place; lamps and many parts of a model among the
+    virtual objects.
 
     Over a phone's recording holes are made by intention.
     """
     virtual = set(in_virtual_collection(scene))
+    for model, n_parts, said in models_of_many_parts(virtual_objects(scene)):
+        yield Fault(name=model, n=n_parts, said=f"{said}.")
     for lamp in sorted(item.name for item in virtual if item.type == "LIGHT"):
         said = f"Lamp {lamp!r} is among the virtual objects and shines on nothing: move it out of their collection."
         yield Fault(name=lamp, n=1, said=said)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 import bpy
@@ -35,6 +36,9 @@ and now show it by their master collection."""
 
 HOLDER_TYPES = frozenset({"EMPTY", "ARMATURE"})
 """Kinds of objects that hold the parts of a model together, and show up in no render."""
+
+MANY_PARTS = 8
+"""Of a model: from so many on, their light and pictures, one for each, are worth a warning."""
 
 
 def virtual_collection(scene: bpy.types.Scene, *, create: bool = False) -> bpy.types.Collection | None:
@@ -283,3 +287,14 @@ def is_bare_curve(item: bpy.types.Object) -> bool:
         return False
     is_filled = item.data.dimensions == "2D" and item.data.fill_mode != "NONE"
     return not (is_filled and any(spline.use_cyclic_u for spline in item.data.splines))
+
+
+def models_of_many_parts(objects: Iterable[bpy.types.Object]) -> Iterator[tuple[str, int, str]]:
+    """What holds a model together, how many of `objects` hang on it, and what to do, for models of many parts."""
+    hangs_on = Counter([*ancestors(item)][-1].name for item in objects if item.parent is not None)
+    for root, n_parts in hangs_on.items():
+        if n_parts >= MANY_PARTS:
+            said = (
+                f"{n_parts} virtual objects hang on {root!r}, and a run lights and renders them one by one: join them"
+            )
+            yield root, n_parts, f"{said} (Object > Join) if they are one model"
