@@ -40,6 +40,7 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.io.run_results import RunResults, read_results
 from xihe_blender.jobs import run_blocking
+from xihe_blender.previs.compare_path import LIT_BY
 from xihe_blender.previs.kept_session import capture_path
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.recorded_run import recorded_session
@@ -573,6 +574,23 @@ def test_a_damaged_capture_is_read_from_the_recording_again_and_not_rendered(rec
         run_on(scene, copied.folder)
     assert "Xihe Capture" not in renders
     assert copied.capture(3).read_bytes() == whole
+
+
+def test_pictures_of_another_light_than_an_edge_service_gives_after_a_stop_are_made_again(recorded_run, tmp_path):
+    out, recording, _ = recorded_run
+    copied = RunOutputs(shutil.copytree(out, tmp_path / "out"), "walk")
+    copied.results.unlink()
+    last = read_results(out).frames[-1].frame
+    picture, noted = copied.picture("lattice", last), json.loads(copied.compared(last).read_text())
+    whole = picture.read_bytes()
+    picture.write_bytes(copied.picture("captured", last).read_bytes())
+    for sh in noted[LIT_BY].values():
+        sh[0][0] += 0.1
+    copied.compared(last).write_text(json.dumps(noted))
+    scene = scene_of(recording, tmp_path / "again")
+    with counted_renders() as renders:
+        run_on(scene, copied.folder)
+    assert renders.count("Xihe Lit") == 1 and picture.read_bytes() == whole
 
 
 def test_objects_that_no_frame_sees_are_asked_about_in_every_frame(tmp_path):

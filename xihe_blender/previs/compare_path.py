@@ -113,15 +113,17 @@ def _kept(outputs: RunOutputs, frame: int, lights: Lights, read: Callable[[int],
     Earlier versions did not note the lights.
     """
     kept = read(frame)
-    is_of_these = kept is not None and kept_json(outputs.compared(frame), functools.partial(_is_lit_by, lights))
-    return kept if is_of_these else None
+    return kept if kept is not None and _is_lit_by(outputs, frame, lights) else None
 
 
-def _is_lit_by(lights: Lights, kept: Json) -> bool:
-    was, now = kept.get(LIT_BY), _noted(lights)
-    return was is None or (
-        was.keys() == now.keys() and all(np.allclose(was[of], now[of], atol=SAME_LIGHT) for of in now)
-    )
+def _is_lit_by(outputs: RunOutputs, frame: int, lights: Lights) -> bool:
+    def is_the_same(kept: Json) -> bool:
+        was, now = kept.get(LIT_BY), _noted(lights)
+        if was is None:
+            return True
+        return was.keys() == now.keys() and all(np.allclose(was[of], now[of], atol=SAME_LIGHT) for of in now)
+
+    return bool(kept_json(outputs.compared(frame), is_the_same))
 
 
 def _noted(lights: Lights) -> dict[str, Json]:
@@ -224,7 +226,9 @@ def composite_path(run: PreparedRun, chain: ChainResult) -> Job[dict[int, dict[s
     shown = [run.settings.estimator, *run.settings.others]
     frames = [frame for frame in sorted(run.needs.captured) if frame in chain.lights]
     pictures = {frame: {method: run.outputs.picture(method, frame) for method in shown} for frame in frames}
-    missing = [frame for frame in frames if not all(path.exists() for path in pictures[frame].values())]
+    are_there = [frame for frame in frames if all(path.exists() for path in pictures[frame].values())]
+    kept = [frame for frame in are_there if _is_lit_by(run.outputs, frame, chain.lights[frame])]
+    missing = [frame for frame in frames if frame not in kept]
     yield from _render_missing(run, chain, shown, missing)
     captured = {frame: run.outputs.picture("captured", frame) for frame in sorted(run.needs.captured)}
     film = captured | {frame: of_frame[shown[0]] for frame, of_frame in pictures.items()}
@@ -253,3 +257,4 @@ def _render_missing(run: PreparedRun, chain: ChainResult, shown: list[str], miss
                 pictures |= {method: methods.display(picture) for method, picture in composited.items()}
             for method, picture in pictures.items():
                 write_picture(run.outputs.picture(method, frame), picture)
+            _keep(run.outputs, frame, {}, chain.lights[frame])
