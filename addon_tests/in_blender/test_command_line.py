@@ -76,7 +76,7 @@ def test_a_command_that_has_blender_ends_at_once_with_its_exit_code(tmp_path, ha
 def test_a_command_that_fails_by_an_error_of_ours_ends_at_once_too():
     code = (
         "import atexit, bpy, xihe_blender.cli.main as cli; atexit.register(print, 'the way out');"
-        "cli.main = lambda: 1 / 0; cli.command()"
+        "cli.main = lambda _: 1 / 0; cli.command()"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=100)
     assert (done.returncode, done.stdout) == (1, "") and "ZeroDivisionError" in done.stderr
