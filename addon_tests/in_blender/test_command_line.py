@@ -143,8 +143,15 @@ def test_stdout_holds_only_the_result(finished):
     assert report == str(out / "report.html")
 
 
-def test_stderr_holds_only_the_progress_with_time_left(finished):
-    lines = finished[0].stderr.splitlines()
+def warnings_of(out):
+    return [f"xihe: note: {warning}" for warning in read_strictly(out / "results.json")["warnings"]]
+
+
+def test_stderr_holds_only_the_progress_with_time_left_and_then_the_warnings(finished):
+    done, out = finished
+    warnings = warnings_of(out)
+    lines, last = done.stderr.splitlines()[: -len(warnings)], done.stderr.splitlines()[-len(warnings) :]
+    assert warnings and last == warnings
     assert all(re.fullmatch(r" *\d+%  [^,]+(, (\d+ (h|min|s) )+left)?", line) for line in lines), lines
     shares = [int(line.split("%")[0]) for line in lines]
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 100
@@ -158,7 +165,8 @@ def test_a_second_call_says_that_the_run_is_done(folder, finished):
     before = files_below(out)
     again = previs(folder / "walk.blend", out)
     assert (again.returncode, again.stdout) == (0, done.stdout)
-    assert len(again.stderr.splitlines()) == 1 and "already done" in again.stderr
+    said, *warnings = again.stderr.splitlines()
+    assert "already done" in said and warnings == warnings_of(out)
     assert files_below(out) == before
 
 
@@ -276,7 +284,8 @@ def test_a_damaged_piece_of_a_run_is_named_and_made_again(folder, finished, tmp_
         path.write_bytes(path.read_bytes()[:50])
     done = assert_goes_on(folder, finished, tmp_path / "out")
     notes = [line for line in done.stderr.splitlines() if not re.match(r" *\d+%  ", line)]
-    assert notes == [f"xihe: note: {path} is damaged and is made again" for path in damaged]
+    damages = [f"xihe: note: {path} is damaged and is made again" for path in damaged]
+    assert notes == [*damages, *warnings_of(finished[1])]
 
 
 # --------------------------------------------------------------------------------------------------------------- disks

@@ -33,7 +33,7 @@ fails if they differ. `python -m xihe_blender` is the same command; inside Blend
 | 2 | a mistake that you can fix; one line on stderr says how |
 | 130 | stopped by Ctrl-C; run the same command again to resume. `serve`, which ends so, exits with 0 |
 
-Progress is shown on stderr. With `XIHE_VERBOSE=1`, so is what Blender itself prints.
+Progress and notes are shown on stderr. With `XIHE_VERBOSE=1`, so is what Blender itself prints.
 """
 
 

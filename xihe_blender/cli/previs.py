@@ -50,6 +50,8 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     scene = open_blend(options.scene)
     job = previs(scene, options.out, settings, blend_file=options.scene, command=options.command_line)
     results = run_blocking(job, progress_line(stderr))
+    for warning in results["warnings"]:
+        print(f"xihe: note: {warning}", file=stderr)
     print(format_summary(results), file=stdout)
     print(options.out / "report.html", file=stdout)
 
