@@ -231,7 +231,6 @@ RECORD3D = {
         metadata(poses=[[0, 0, 0, 1, 0, 0, 0]] * 3, initPose=[0, 0, 0, 1, 0, 0, 0]),
         NOTE + "No pose turns or moves, as where Record3D has none: record with LiDAR",
     ),
-    "one camera that stands": (metadata(poses=[[0, 0, 0, 1, 0, 0, 0]] * 3, initPose=[0, 0, 0, 1, 0, 1.5, 0]), READ),
     "poses are not there": (metadata(poses=None), "record with LiDAR"),
     "poses are an object": (metadata(poses={}), "poses: expected a list"),
     "a start of zeros": (metadata(initPose=[0] * 7), "a quaternion of length 1"),

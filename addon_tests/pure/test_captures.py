@@ -275,6 +275,14 @@ def test_record3ds_export_of_exr_is_told_to_be_exported_as_r3d(tmp_path):
         (tmp_path / name).touch()
     with pytest.raises(ValueError, match=r"exports as EXR and JPG: export the recording as \.r3d instead"):
         open_capture(tmp_path)
+    as_nerfstudio(tmp_path, walk(SMALL, 1))  # Converted where it lies.
+    assert len(open_capture(tmp_path).frames) == 1
+
+
+@PACKED
+def test_a_camera_of_record3d_that_stands_still_is_not_taken_for_one_without_poses(tmp_path):
+    still = [replace(walk(SMALL, 1)[0], time_s=number / 30) for number in range(3)]
+    assert not any("record with LiDAR" in note for note in open_capture(as_record3d(tmp_path, still)).notes)
 
 
 @pytest.mark.parametrize(("write", "part"), [(as_nerfstudio, "transforms.json"), (as_polycam, "keyframes")])
