@@ -31,8 +31,8 @@ export function replayLight(exported, { object = exported.lights[0].object, loop
   // Neither grants what it does not know, and apps ask both before and after whether it was granted.
   const feature = "light-estimation";
   const requestSession = navigator.xr.requestSession.bind(navigator.xr);
-  navigator.xr.requestSession = (mode, wanted = {}) =>
-    requestSession(mode, { ...wanted, requiredFeatures: wanted.requiredFeatures?.filter((name) => name !== feature) ?? [] });
+  navigator.xr.requestSession = (mode, wanted) =>
+    requestSession(mode, { ...wanted, requiredFeatures: wanted?.requiredFeatures?.filter((name) => name !== feature) ?? [] });
   const granted = Object.getOwnPropertyDescriptor(XRSession.prototype, "enabledFeatures");
   if (granted)
     Object.defineProperty(XRSession.prototype, "enabledFeatures", {
