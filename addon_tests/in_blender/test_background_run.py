@@ -55,6 +55,9 @@ def test_a_run_of_another_blender_has_ended_when_it_is_stopped(tmp_path):
         write_json(run.outputs.progress, as_json(state))
         with pytest.raises(UserError, match="is under way in another Blender: stop it there"):
             run.discard()
+        operator = SimpleNamespace(background=run, cancelled="")
+        Following.stop(operator)  # As Esc does.
+        assert operator.cancelled == "The run goes on in another Blender: stop it there"
         assert run.is_under_way and other.poll() is None and run.outputs.request.exists()
         write_json(run.outputs.progress, as_json(replace(state, host=platform.node())))
         assert run.is_under_way

@@ -44,6 +44,8 @@ class Following(ModalJob):
     def stop(self) -> None:
         if self.background is not None:
             self.background.stop()
+            if self.background.is_under_way:
+                self.cancelled = "The run goes on in another Blender: stop it there"
 
     def finish(self, context: bpy.types.Context, result: None) -> set[str]:
         run = self.background
