@@ -42,6 +42,7 @@ from xihe_blender.previs.previs import previs
 from xihe_blender.previs.results import AS_SET
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
+from xihenet.formats import format_number
 
 
 def entries(results):
@@ -79,9 +80,9 @@ def test_metrics_follow_from_the_files(finished):
 
 
 def test_the_clamp_of_indirect_light_is_told_beside_white(finished):
-    clamp, exposure = 10.0, finished.results["settings"]["reference_exposure"]
+    white = format_number(10 * finished.results["settings"]["reference_exposure"], 2)
     (said,) = (effect["reason"] for effect in finished.results["effects"] if effect["name"] == "indirect clamp")
-    assert said == f"as the scene has it: {clamp:g}, {clamp * exposure:.2g} times white at this exposure"
+    assert said == f"as the scene has it: 10, {white} times white at this exposure"
 
 
 def test_a_frame_took_the_time_of_its_capture_and_of_its_reference_lights(finished):

@@ -28,6 +28,7 @@ from xihe_blender.report.values import mean
 from xihe_blender.scene.units import metres_per_unit
 from xihenet.controller import ControllerSettings
 from xihenet.effects import Effect, Requirement, effects_as_json, plan_effects
+from xihenet.formats import format_number
 from xihenet.invalid import added, counted
 from xihenet.light.environments import laid_out
 from xihenet.light.reflections import light_of_rough, reflection_panorama
@@ -130,7 +131,7 @@ def assemble(
 def _other_effects(scene: bpy.types.Scene, exposure: float) -> dict[str, Effect]:
     """What is always so, besides light transport and phone."""
     clamp = scene.cycles.sample_clamp_indirect
-    beside_white = f", {clamp * exposure:.2g} times white at this exposure" if clamp > 0 else ""
+    beside_white = f", {format_number(clamp * exposure, 2)} times white at this exposure" if clamp > 0 else ""
     required = {
         "indirect clamp": Requirement(clamp > 0, f"as the scene has it: {clamp:g}{beside_white}", {}, {}),
         "8-bit clipping": Requirement(True, "a phone delivers clipped, sRGB-encoded bytes", {}, {}),
