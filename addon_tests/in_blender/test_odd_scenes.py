@@ -22,6 +22,7 @@ from tiny_scenes import (
     set_world,
     sphere,
 )
+from tiny_scenes import key as keyed
 
 from xihe_blender.apply.datablocks import LIT_SCENE, lights_by_sh, world_name
 from xihe_blender.apply.session import XiheController
@@ -38,6 +39,7 @@ from xihe_blender.previs.plan import made_of, plan_previs
 from xihe_blender.previs.required_effects import effects_of_run
 from xihe_blender.previs.scene_faults import blur_faults, faults_at_frame, layer_faults, timing_faults, unseen_faults
 from xihe_blender.previs.settings import PrevisSettings
+from xihe_blender.previs.survey import survey_path
 from xihe_blender.scene.blend_file import modifier_input, open_blend, save_copy
 from xihe_blender.scene.estimation_positions import estimation_positions
 from xihe_blender.scene.phone_capture import CAPTURE
@@ -580,6 +582,21 @@ def test_a_linked_object_with_the_name_of_another_is_told_apart_by_the_user(libr
     scene = link_all(library[0])
     sphere(scene, "Ball", (0.3, 0, 0.85), 0.1, None, virtual_collection(scene))
     assert_refused(scene, tmp_path / "out", "two virtual objects are named 'Ball'", "library.blend", "rename")
+
+
+def test_a_linked_virtual_object_is_not_taken_for_one_of_the_room_with_its_name(library, tmp_path):
+    def compared(name):
+        scene = link_all(library[0])
+        sphere(scene, name, (1.8, 1.8, 0.1), 0.05)
+        return run(scene, tmp_path / name, replace(SMALL, frames=(1,)))["comparison"]
+
+    assert compared("Ball") == compared("Pebble")
+    scene = room_with_a_virtual_sphere(2)
+    file, virtual = saved(tmp_path / "ball.blend"), virtual_collection(scene)
+    bpy.data.objects.remove(scene.objects["Ball"])
+    virtual.objects.link(*linked(file, "objects", "Ball"))
+    keyed(add_lamp(scene, name="Ball").data, "energy", {1: 10.0, 2: 20.0})
+    assert run_blocking(survey_path(scene, plan_previs(scene, SMALL))).light_changes
 
 
 def test_an_object_with_the_name_of_a_position_of_another_is_told_apart_by_the_user(tmp_path):

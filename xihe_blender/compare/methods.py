@@ -161,13 +161,15 @@ class Comparer:
     """Of the key lights; empty where all of a light is spherical harmonics."""
     catchers: Mapping[str, bpy.types.Object]
     """Of the shadows, by object; empty where there are no suns."""
+    objects: Mapping[str, bpy.types.Object]
+    """That are compared. By its name alone one of a linked library might be another of the file."""
     recording: OverRecording | None = None
 
     def surfaces_around_objects(self, seen: Sequence[RgbdFrame], frame: int) -> dict[str, list[Surface]]:
         """By object, what captures show of the room around the place where it is at `frame`; none without catchers."""
         self.lit.frame_set(frame)
         depsgraph = self.lit.view_layers[0].depsgraph
-        return {name: surfaces_seen(seen, box_corners_m(bpy.data.objects[name], depsgraph)) for name in self.catchers}
+        return {name: surfaces_seen(seen, box_corners_m(self.objects[name], depsgraph)) for name in self.catchers}
 
     def render_comparison(self, captured: RgbdFrame, lights: Mapping[str, Mapping[str, ObjectLight]]) -> Comparison:
         """Ground truth and every method at the frame of `captured`; see `render_methods`."""
@@ -212,7 +214,7 @@ class Comparer:
         for method in lights:
             layers = {key[1]: lit.layers[self.layers[key]] for key in self.worlds if key[0] == method}
             shaded = background * shadow_of_all(layers, in_view)
-            fogs = [layers.pop(name) for name in list(layers) if is_fog(bpy.data.objects[name])]
+            fogs = [layers.pop(name) for name in list(layers) if is_fog(self.objects[name])]
             picture, weights = composite(shaded, list(layers.values()), captured, tolerance)
             for fog in fogs:  # It does not hold out what is behind it.
                 picture, covered = composite(picture, [fog], captured, tolerance)
@@ -227,7 +229,7 @@ class Comparer:
         depsgraph, unit_m = self.lit.view_layers[0].depsgraph, metres_per_unit(self.lit)
         in_view = {}
         for name, catcher in self.catchers.items():
-            middle_m, reach_m = surroundings(box_corners_m(bpy.data.objects[name], depsgraph))
+            middle_m, reach_m = surroundings(box_corners_m(self.objects[name], depsgraph))
             catch_shadows_of(catcher, self.recording.scan, (middle_m / unit_m, reach_m / unit_m))
             in_view[name] = around_object(captured, middle_m, reach_m)
         return in_view
@@ -236,7 +238,7 @@ class Comparer:
         """Whether a frame may show any of the objects, or what is around one."""
         self.lit.frame_set(captured.frame)
         depsgraph = self.lit.view_layers[0].depsgraph
-        boxes = [box_corners_m(bpy.data.objects[name], depsgraph) for _, name in self.worlds]
+        boxes = [box_corners_m(self.objects[name], depsgraph) for _, name in self.worlds]
         return any(touches_view(*surroundings(box), captured.intrinsics, captured.world_from_camera) for box in boxes)
 
     @property
@@ -285,7 +287,7 @@ class Comparer:
         """
         size = (captured.intrinsics.width, captured.intrinsics.height)
         depsgraph, unit_m = self.lit.view_layers[0].depsgraph, metres_per_unit(self.lit)
-        corners_m = [box_corners_m(bpy.data.objects[name], depsgraph) for name in {name for _, name in self.worlds}]
+        corners_m = [box_corners_m(self.objects[name], depsgraph) for name in {name for _, name in self.worlds}]
         corners_m += [corners_of(catcher) * unit_m for catcher in self.catchers.values()]
         part = part_around(np.concatenate(corners_m), captured.intrinsics, captured.world_from_camera, MARGIN_PX)
         part = PicturePart(0, 0, *size) if part is None else _in_blocks(part, size)
@@ -301,7 +303,7 @@ class Comparer:
         """Set world, sun and samples of a method's object for `light`, which carries `exposure`."""
         world, layer = self.worlds[key], self.lit.view_layers[self.layers[key]]
         layer.samples = 0 if light.reflections is None else max(REFLECTION_SAMPLES, int(self.lit.cycles.samples))
-        has_sun = light.reflections is None or (key in self.suns and has_sun_for_lamp(bpy.data.objects[key[1]]))
+        has_sun = light.reflections is None or (key in self.suns and has_sun_for_lamp(self.objects[key[1]]))
         if light.reflections is None:
             forget_reflections(world)
         else:
@@ -363,7 +365,7 @@ def open_comparer(
         if recording is not None:  # Pixels of a phone need not be square.
             for name in ("pixel_aspect_x", "pixel_aspect_y"):
                 setattr(lit.render, name, getattr(scene.render, name))
-        yield Comparer(truth, lit, worlds, layers, suns, catchers, recording)
+        yield Comparer(truth, lit, worlds, layers, suns, catchers, {item.name: item for item in objects}, recording)
 
 
 def blended(

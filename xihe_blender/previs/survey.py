@@ -226,7 +226,7 @@ class RoomSurvey:
     """
 
     def __init__(self, scene: bpy.types.Scene) -> None:
-        self.virtual = {item.name for item in in_virtual_collection(scene)}
+        self.virtual = set(in_virtual_collection(scene))
         self.lights: set[frozenset[Any]] = set()
         """What each frame's lights are and where; one entry as long as none of it changes."""
         self.is_driven = False
@@ -243,7 +243,7 @@ class RoomSurvey:
         lights: set[Any] = set()
         found: dict[str, float | None] = {}
         for instance in depsgraph.object_instances:
-            parents = {instance.object.name, instance.parent.name if instance.parent else ""}
+            parents = {one.original for one in (instance.object, instance.parent) if one is not None}
             if instance.show_self and not parents & self.virtual:
                 lights |= self._lights_of(instance, found)
         world = depsgraph.scene_eval.world
