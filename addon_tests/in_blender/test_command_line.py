@@ -437,6 +437,10 @@ MISTAKES = {
         "--rooms 1 --varied 1.5": "between 0 and 1",
         "--rooms 1 --split dev": "train, validation, test",
         "--rooms 1 --split test": "give more",
+        "--rooms 1 --workers 2 --scheduler tcp://here:1": "--workers ... --scheduler ... give one",
+    },
+    "evaluate {folder}/walk.blend --out {out} ": {
+        "--workers 2 --scheduler tcp://here:1": "--workers ... --scheduler ... give one",
     },
 }
 """By how a command begins and goes on: what its one line says, with ` ... ` between words."""

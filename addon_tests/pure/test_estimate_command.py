@@ -312,6 +312,7 @@ IMAGES = ["colour.png", "--plane-depth", "plane_depth.png", "--camera", "camera.
         (["text.exr", "--camera", "camera.json", "--at", AT], "is no OpenEXR file"),
         (["colour.png", "--camera", "camera.json", "--at", AT], "plane depth"),
         ([*IMAGES, "--at", AT, "--depth-scale", "0"], "depth scale"),
+        ([*EXR, "--at", AT, "--depth-scale", "0.01"], "an OpenEXR file has its distances in metres"),
         ([*EXR, "--at", AT, "--exposure", "-1"], "exposure"),
         ([*EXR, "--at", AT, "--estimator", "truth"], "choose another --estimator"),
         ([*EXR, "--at", AT, "--estimator", "oracle"], "choose one of"),

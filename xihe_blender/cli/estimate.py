@@ -32,6 +32,7 @@ from xihenet.sphere import AnchorLattice
 
 SCHEMA_VERSION = 1
 MAX_ANCHORS = 65536
+DEPTH_SCALE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--camera FILE.json", "intrinsics and pose of the camera", Path, required=True)
     add("--at X,Y,Z", "position in metres; may be repeated", position, action="append", required=True)
     add("--plane-depth FILE", "16-bit image of distances along the optical axis; 0 or 65535: none", Path)
-    add("--depth-scale METRES", "metres per unit of the 16-bit image; default: 0.001", float, default=1e-3)
+    add("--depth-scale METRES", "metres per unit of the 16-bit image; default: 0.001", float, default=DEPTH_SCALE)
     add("--exposure FACTOR", "exposure of the frame; default: metered for OpenEXR, 1 for images", float)
     add("--estimator NAME", others, default=estimators.DEFAULT)
     add("--target", "hdr: all of the light; ldr: light clipped at white", choices=("ldr", "hdr"), default="hdr")
@@ -83,6 +84,8 @@ def estimate_from_files(options: argparse.Namespace) -> tuple[RgbdFrame, dict[st
     UserError, naming the fix, for files or options that will not do.
     """
     scale = options.depth_scale
+    if options.plane_depth is None and scale != DEPTH_SCALE:
+        raise UserError("--depth-scale is of the image of --plane-depth: an OpenEXR file has its distances in metres")
     try:
         estimator = _loaded(options)
         camera = read_camera(options.camera)
