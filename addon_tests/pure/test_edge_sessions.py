@@ -1,12 +1,29 @@
 """Sessions are for those who hold their tokens, and what a position shares looks right from another."""
 
+import asyncio
+
 import numpy as np
 import pytest
 
 from addon_tests.pure.made import random_cloud
 from xihenet.buffers import merge
+from xihenet.edge.batching import Inference
+from xihenet.edge.extras import Wishes
 from xihenet.edge.metrics import Metrics
-from xihenet.edge.sessions import SeenPosition, StoreFull, StoreLimits, hash_of, joined, new_session, new_token
+from xihenet.edge.protocol import CloudSent
+from xihenet.edge.service import EdgeService
+from xihenet.edge.sessions import (
+    MemoryStore,
+    SeenPosition,
+    SessionGone,
+    StoreFull,
+    StoreLimits,
+    StoreLost,
+    hash_of,
+    joined,
+    new_session,
+    new_token,
+)
 from xihenet.edge.sharing import re_exposed, with_others
 from xihenet.records import UnitSphereCloud
 from xihenet.sampling import sample_again
@@ -36,6 +53,27 @@ def test_who_joined_may_estimate_but_does_not_own():
 def test_a_published_session_admits_no_token():
     assert session().is_published and not session().admits("") and not session().is_owned_by("")
     assert not session().admits(hash_of(""))
+
+
+@pytest.mark.parametrize("error", [StoreFull, StoreLost, SessionGone])
+def test_a_key_light_that_cannot_be_kept_is_told_all_the_same(error):
+    class NoKeys(MemoryStore):
+        def put_position(self, session_id, name, seen, before):
+            if seen.key is not None:
+                raise error
+            return super().put_position(session_id, name, seen, before)
+
+    async def answered():
+        service = EdgeService(Inference("projection"), store=NoKeys())
+        lit = service.open(new_session(512, "ldr", "z-up", new_token()))
+        bright = np.where(AnchorLattice(512).directions[:, 2] > 0.97, 1.0, 0.2)
+        lamp = UnitSphereCloud(np.outer(bright, np.ones(3)), np.ones(512), np.ones(512, bool))
+        try:
+            return await service.estimate(lit, "a", CloudSent(lamp), Wishes(has_key_light=True))
+        finally:
+            await service.close()
+
+    assert asyncio.run(answered())["key_light"] is not None
 
 
 def test_what_another_position_has_seen_fills_what_this_one_has_not():

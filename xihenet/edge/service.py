@@ -245,10 +245,11 @@ class EdgeService:
             self._n_extras -= 1
 
     def _remember_key(self, session: Session, name: str, key: KeyLight | None) -> None:
-        seen = self.store.position(session.id, name)
-        if seen is not None:
-            # Not kept if a frame has come meanwhile: its answer has a key light of its own.
-            with suppress(SessionGone):
+        # What cannot be kept for the next answer is no reason to refuse this one.
+        with suppress(SessionGone, StoreFull, StoreLost):
+            seen = self.store.position(session.id, name)
+            if seen is not None:
+                # Not kept if a frame has come meanwhile: its answer has a key light of its own.
                 self.store.put_position(session.id, name, replace(seen, key=key), seen)
 
     @contextmanager
