@@ -163,6 +163,26 @@ def test_an_exr_that_says_in_which_space_its_colour_is_becomes_rec709(tmp_path, 
     assert frame.srgb_u8[0, 0].tolist() == encode_exposed(np.float32([[(1.0, 0.25, 0.05)]]), 1)[0, 0].tolist()
 
 
+AP0 = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
+
+
+@NEEDS_OPENEXR
+@pytest.mark.parametrize("space", [*exr.CHROMATICITIES, "AP0"])
+def test_an_exr_that_gives_chromaticities_in_place_of_a_space_is_read_by_these(tmp_path, camera, space):
+    import OpenEXR
+
+    colour = (0.7, 0.3, 0.09)
+    channels = {name: np.full_like(PLANE_DEPTH_M, value) for name, value in zip("RGB", colour, strict=True)}
+    with OpenEXR.File({"chromaticities": exr.CHROMATICITIES.get(space, AP0)}, channels | {"Z": PLANE_DEPTH_M}) as file:
+        file.write(str(path := tmp_path / "frame.exr"))
+    if space == "AP0":
+        with pytest.raises(ValueError, match=r"of primaries at 0\.7347, .* save it in linear Rec\.709"):
+            read_frame(path, camera)
+        return
+    named = read_frame(write_in(space, colour, tmp_path / "named.exr"), camera, exposure=1)
+    np.testing.assert_array_equal(read_frame(path, camera, exposure=1).srgb_u8, named.srgb_u8)
+
+
 @pytest.mark.parametrize("space", ["lin_rec2020_scene", "lin_ap1_scene"])
 def test_an_infinite_colour_is_white_in_every_space(tmp_path, camera, space):
     frame = read_frame(write_in(space, (np.inf, np.inf, np.inf), tmp_path / "frame.exr"), camera, exposure=1)

@@ -44,6 +44,15 @@ have nothing else to tell a damaged one by."""
 
 ZLIB_LEVEL = 4  # Of 256x192 pixels of noise, levels 1 to 4 take the same time and space
 
+CHROMATICITIES: Mapping[str, tuple[float, ...]] = {
+    "lin_rec709_scene": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
+    "lin_rec2020_scene": (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329),
+    "lin_ap1_scene": (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767),
+}
+"""x and y of red, green, blue and white, by Color Interop ID."""
+
+SAME_PRIMARIES = 0.002
+
 HEADER_BYTES = 2**16
 """As many are read of a file whose header alone is asked for; those with more are read whole."""
 
@@ -104,10 +113,16 @@ def exr_attributes(path: Path) -> dict[str, Attribute]:
 def exr_colour_space(path: Path) -> str:
     """The Color Interop ID of the first header, as Blender writes from 5.0 on, such as "lin_ap1_scene"; "" without.
 
-    Raises as `read_exr`.
+    Other programs, and files of the ACES standard, give chromaticities instead: then it is that of these, or says that
+    it is another one's. Raises as `read_exr`.
     """
-    _, stored = _of_header(path, lambda content: _header_at(content, 8)[0]).get("colorInteropID", ("", b""))
-    return stored.decode(errors="replace")
+    header = _of_header(path, lambda content: _header_at(content, 8)[0])
+    if "colorInteropID" in header or "chromaticities" not in header:
+        return header.get("colorInteropID", ("", b""))[1].decode(errors="replace")
+    with _errors_of(path):
+        found = struct.unpack("<8f", header["chromaticities"][1])
+    told = (space for space, known in CHROMATICITIES.items() if np.allclose(found, known, rtol=0, atol=SAME_PRIMARIES))
+    return next(told, f"of primaries at {', '.join(f'{one:.4g}' for one in found[:6])}")
 
 
 def _by_channel(content: bytes, of: Callable[[_Part], _T]) -> dict[str, _T]:

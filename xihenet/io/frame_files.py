@@ -7,8 +7,8 @@ not fit together is refused with what was found: a frame that is read wrongly gi
 The two images may differ in size. Colour is then averaged over the area of each depth pixel, in linear light;
 enlarging plane depth instead was rejected, since it invents surfaces between near and far ones. Sizes are judged by
 the header, and a frame of more than 2 megapixels is thinned to that (`picture_size`). Colour is taken as sRGB or linear
-Rec.709, or as what an image says by its profile, and an OpenEXR file by its Color Interop ID. Not here: pixels of
-images (`image_files`), lens distortion, and images that do not show the same field of view.
+Rec.709, or as what an image says by its profile, and an OpenEXR file by its Color Interop ID or its chromaticities. Not
+here: pixels of images (`image_files`), lens distortion, and images that do not show the same field of view.
 """
 
 from __future__ import annotations
