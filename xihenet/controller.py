@@ -233,7 +233,8 @@ class XiheController:
             sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
             sampled = position.buffers.in_sight(sampled, FrameAtPosition(frame, position.position_m, self.lattice))
-            position.buffers = position.buffers.with_frame(sampled)
+            temporary = self._followed(position.buffers.temporary, sampled)
+            position.buffers = replace(position.buffers, temporary=temporary).with_frame(sampled)
             position.see(sampled, self.lattice)
 
     def _look(
@@ -320,14 +321,16 @@ class XiheController:
 
     def _following(self, before: PositionBuffers, sampled: UnitSphereCloud) -> tuple[PositionBuffers, int]:
         """The buffers after this frame, what it does not show changed as the light did; and for how many anchors."""
-        following = self.settings.following
-        if following is None:
-            return before.with_frame(sampled), 0
-        temporary = follow_light(before.temporary, sampled, following)
+        temporary = self._followed(before.temporary, sampled)
         after = replace(before, temporary=temporary).with_frame(sampled)
-        persistent = follow_light(before.persistent, after.temporary, following)
+        persistent = self._followed(before.persistent, after.temporary)
         changed = (temporary.srgb != before.temporary.srgb) | (persistent.srgb != before.persistent.srgb)
         return replace(after, persistent=persistent), int(np.count_nonzero(changed.any(axis=1)))
+
+    def _followed(self, old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
+        """`old`, changed as the light did where `new` shows nothing, if the settings say so."""
+        following = self.settings.following
+        return old if following is None else follow_light(old, new, following)
 
     def _key_light(self, light: LightEstimate, position: _Position, previous: KeyLight | None) -> KeyLight | None:
         """Where the session asks for one."""

@@ -232,6 +232,24 @@ def test_what_is_out_of_view_follows_a_lamp_once_however_often_the_server_is_ask
     np.testing.assert_array_equal(late.reflected.srgb, once.reflected.srgb)
 
 
+def test_what_is_out_of_view_follows_a_lamp_that_changes_while_the_object_is_out_of_view_too():
+    """Of frames since the last estimate: the light that they show is used first in the next one."""
+    rule = TriggerSettings(theta=0.02, ignored_share=0.25, coverage_theta=0.3)
+    lights, known = [], []
+    for looked_at in (["Ball"], []):
+        chain = ControllerSettings(rule, learns_out_of_view=True)
+        controller = XiheController(LocalBackend(estimators.load("projection", N)), chain)
+        controller.add_position("Ball", POSITION)
+        for number, yaw in enumerate((0.0, 0.3, 0.6, -0.6)):
+            controller.step(looking(yaw, 1.0, number), active=["Ball"])
+        for number, active in ((4, looked_at), (5, ["Ball"])):
+            controller.step(looking(0.1 * number - 0.4, 0.25, number), active=active)
+        lights.append(controller.light("Ball").sh_radiance)
+        known.append(controller.known("Ball"))
+    np.testing.assert_array_equal(known[0].srgb, known[1].srgb)
+    assert shc_rmse(*lights) < 1e-3
+
+
 ALL_CHANGED = LightFollowing(smallest_stops=0.25, agreeing_share=0.5, most_unchanged=0.1)
 
 
