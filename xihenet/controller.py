@@ -31,6 +31,7 @@ from xihenet.light.key_light import find_key_light
 from xihenet.light.reflections import N_DIRECTIONS, N_NEIGHBOURS, thinned
 from xihenet.light_change import LightFollowing, follow_coarser, follow_light
 from xihenet.records import (
+    ArrayBool,
     ArrayF64,
     Intrinsics,
     KeyLight,
@@ -233,8 +234,8 @@ class XiheController:
             sampled = self._sample(points, position.position_m)
         with clock.stage("merge"):
             sampled = position.buffers.in_sight(sampled, FrameAtPosition(frame, position.position_m, self.lattice))
-            temporary = self._followed(position.buffers.temporary, sampled)
-            position.buffers = replace(position.buffers, temporary=temporary).with_frame(sampled)
+            self._follow(position, sampled)
+            position.buffers = position.buffers.with_frame(sampled)
             position.see(sampled, self.lattice)
 
     def _look(
@@ -259,12 +260,12 @@ class XiheController:
         look = _Look(position, sampled, decision, clock, buffers)
         if decision.fire:
             with clock.stage("merge"):
-                look.followed, look.n_followed = self._following(position.buffers, sampled)
-                look.reflected = position.reflected
-                if look.n_followed and position.reflected is not None and self.fine_lattice is not None:
-                    beside = self.lattice.nearest(self.fine_lattice.directions)
-                    before, now = position.buffers.persistent, look.followed.persistent
-                    look.reflected = follow_coarser(position.reflected, before, now, beside)
+                is_followed = self._follow(position, sampled)
+                after = position.buffers.with_frame(sampled)
+                persistent = self._followed(after.persistent, after.temporary)
+                is_followed |= (persistent.srgb != after.persistent.srgb).any(axis=1)
+                look.followed, look.n_followed = replace(after, persistent=persistent), int(is_followed.sum())
+                look.reflected = self._followed_finely(position.reflected, after.persistent, persistent)
             with clock.stage("encode"):
                 look.payload = encode_cloud(look.followed.temporary, settings.codec)
             look.context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
@@ -319,18 +320,26 @@ class XiheController:
         how = self.settings
         return sample_unit_sphere(points, position_m, self.lattice, method=how.nearest, table_size=how.table_size)
 
-    def _following(self, before: PositionBuffers, sampled: UnitSphereCloud) -> tuple[PositionBuffers, int]:
-        """The buffers after this frame, what it does not show changed as the light did; and for how many anchors."""
-        temporary = self._followed(before.temporary, sampled)
-        after = replace(before, temporary=temporary).with_frame(sampled)
-        persistent = self._followed(before.persistent, after.temporary)
-        changed = (temporary.srgb != before.temporary.srgb) | (persistent.srgb != before.persistent.srgb)
-        return replace(after, persistent=persistent), int(np.count_nonzero(changed.any(axis=1)))
+    def _follow(self, position: _Position, sampled: UnitSphereCloud) -> ArrayBool:
+        """Have what a position has seen since its last estimate change as the light did; which anchors (N,) did."""
+        before = position.buffers.temporary
+        temporary = self._followed(before, sampled)
+        position.reflected = self._followed_finely(position.reflected, before, temporary)
+        position.buffers = replace(position.buffers, temporary=temporary)
+        return np.asarray((temporary.srgb != before.srgb).any(axis=1))
 
     def _followed(self, old: UnitSphereCloud, new: UnitSphereCloud) -> UnitSphereCloud:
         """`old`, changed as the light did where `new` shows nothing, if the settings say so."""
         following = self.settings.following
         return old if following is None else follow_light(old, new, following)
+
+    def _followed_finely(
+        self, fine: UnitSphereCloud | None, before: UnitSphereCloud, after: UnitSphereCloud
+    ) -> UnitSphereCloud | None:
+        """`fine`, of the sphere of reflections, changed as anchors beside were from `before` to `after`."""
+        if fine is None or self.fine_lattice is None or after is before:
+            return fine
+        return follow_coarser(fine, before, after, self.lattice.nearest(self.fine_lattice.directions))
 
     def _key_light(self, light: LightEstimate, position: _Position, previous: KeyLight | None) -> KeyLight | None:
         """Where the session asks for one."""
@@ -426,7 +435,7 @@ class _Look:
     """With the frame, and as it is with what is out of view changed as the light did where the trigger fired."""
     n_followed: int = 0
     reflected: UnitSphereCloud | None = None
-    """That of the position, followed too; it takes its place once there is an answer, or it would follow twice."""
+    """That of the position, followed as the persistent cloud was; it takes its place once there is an answer."""
     payload: bytes = b""
     context: EstimateContext | None = None
     """None where nothing is asked for."""

@@ -250,6 +250,28 @@ def test_what_is_out_of_view_follows_a_lamp_that_changes_while_the_object_is_out
     assert shc_rmse(*lights) < 1e-3
 
 
+@pytest.mark.parametrize("out_of_view", [0, 1])
+@pytest.mark.parametrize("n_unanswered", [0, 2])
+def test_reflections_follow_a_lamp_also_where_they_were_seen_since_the_last_estimate(out_of_view, n_unanswered):
+    rule = TriggerSettings(theta=0.02, ignored_share=0.25, coverage_theta=0.3)
+    chain = ControllerSettings(rule, has_reflections=True, learns_out_of_view=True)
+    controller = XiheController(backend := Silent(), chain)
+    controller.add_position("Ball", POSITION)
+    for number, yaw in enumerate((0.0, 1.2, 0.6)):
+        report = controller.step(looking(yaw, 1.0, number), active=["Ball"])["Ball"]
+        assert report.decision.fire == (number == 0)
+    for number in range(out_of_view + n_unanswered + 1):
+        backend.lost = number < out_of_view + n_unanswered
+        active = ["Ball"] if number >= out_of_view else []
+        reports = controller.step(looking(0.1, 0.25, number), active=active)
+    known, fine = controller.known("Ball"), reports["Ball"].estimate.reflected
+    beside = controller.lattice.nearest(controller.fine_lattice.directions)
+    shown, expected = (srgb_to_linear(one.astype(float)).mean(axis=1) for one in (fine.srgb, known.srgb[beside]))
+    is_known = fine.is_set & known.is_set[beside]
+    assert np.median(expected[is_known]) < 0.1  # All of it is dark, but for the rim of the last frame on the finer one.
+    assert (shown[is_known] < 0.15).mean() > 0.9
+
+
 ALL_CHANGED = LightFollowing(smallest_stops=0.25, agreeing_share=0.5, most_unchanged=0.1)
 
 
