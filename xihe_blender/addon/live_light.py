@@ -71,17 +71,19 @@ def misplaced(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> dict[st
 
     Those that may move along the path are left out; all are where the scene's unit is not that of the run.
     """
-    from xihe_blender.scene.estimation_positions import named_positions
+    from xihe_blender.scene.estimation_positions import all_box_corners_m, named_positions
 
     if other_unit(scene, last_run(scene.xihe.run_folder)):
         return {}
     worlds, found = applied_worlds(scene), {}
-    for item in virtual_objects(scene):
+    objects = virtual_objects(scene)
+    corners_m = all_box_corners_m(objects, depsgraph)
+    for item in objects:
         known = LightOf.read(worlds[item.name]) if item.name in worlds else LightOf()
         if known is None or known.moves or may_move(item):
             continue
         try:
-            places = named_positions(item, depsgraph)
+            places = named_positions(item, corners_m=corners_m[item])
         except UserError:  # A run would say why.
             continue
         if not known.is_of({name: place.tolist() for name, place in places.items()}):

@@ -103,13 +103,14 @@ def shown_positions(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> l
     An object whose positions a run would refuse has none.
     """
     # NumPy comes with it, which must wait until something is shown.
-    from xihe_blender.scene.estimation_positions import named_positions
+    from xihe_blender.scene.estimation_positions import all_box_corners_m, named_positions
 
-    metres = metres_per_unit(scene)
+    metres, objects = metres_per_unit(scene), virtual_objects(scene)
+    corners_m = all_box_corners_m(objects, depsgraph)
     found = []
-    for item in virtual_objects(scene):
+    for item in objects:
         try:
-            positions_m = named_positions(item, depsgraph)
+            positions_m = named_positions(item, corners_m=corners_m[item])
         except UserError:
             continue
         for name, position_m in positions_m.items():

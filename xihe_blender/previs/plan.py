@@ -20,7 +20,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.folder_manifest import WORK, contents_sha256
 from xihe_blender.previs.files_read import files_read
 from xihe_blender.previs.settings import PrevisSettings
-from xihe_blender.scene.estimation_positions import named_positions
+from xihe_blender.scene.estimation_positions import all_box_corners_m, named_positions
 from xihe_blender.scene.phone_capture import remembered_capture
 from xihe_blender.scene.virtual_objects import COLLECTION_NAME, collections_of, virtual_objects
 from xihenet import __version__
@@ -72,7 +72,8 @@ def plan_previs(scene: bpy.types.Scene, settings: PrevisSettings) -> PrevisPlan:
     with working_scene(scene, "Xihe Plan", RenderSettings(size, samples=1)) as working:
         working.frame_set(frames[0])
         first_view = phone_camera(working)
-        named = [(item, named_positions(item, working.view_layers[0].depsgraph)) for item in objects]
+        corners_m = all_box_corners_m(objects, working.view_layers[0].depsgraph)
+        named = [(item, named_positions(item, corners_m=corners_m[item])) for item in objects]
     probes = [Probe(name, item.name, place) for item, places in named for name, place in places.items()]
     owners: dict[str, str] = {}
     for probe in probes:

@@ -37,7 +37,7 @@ from xihe_blender.previs.scene_faults import (
     unseen_faults,
 )
 from xihe_blender.scene import shader_nodes
-from xihe_blender.scene.estimation_positions import box_corners_m
+from xihe_blender.scene.estimation_positions import all_box_corners_m
 from xihe_blender.scene.units import seconds_of
 from xihe_blender.scene.virtual_objects import GEOMETRY_TYPES, in_virtual_collection
 from xihenet.camera import in_view
@@ -302,17 +302,18 @@ class MovementSurvey:
         self.moved: dict[int, dict[str, tuple[float, ...]]] = {}
 
     def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        corners_m = all_box_corners_m(self.plan.objects, depsgraph)
         for item in self.plan.objects:
             probes, axes = self.plan.probes_of(item.name), _axes(item.evaluated_get(depsgraph))
             if item.name not in self.first:
-                low_m, size_m = _box(item, depsgraph, np.eye(3))
+                low_m, size_m = _box(corners_m[item], np.eye(3))
                 within_m = np.stack([probe.position_m for probe in probes]) - low_m
                 # Outside of the box is one that the plan, which does not look as renders do, has found elsewhere.
                 is_known = (size_m > MOVED_M) & (within_m > 0) & (within_m < size_m)
                 self.first[item.name] = axes, np.where(is_known, within_m / np.where(is_known, size_m, 1), 0.5)
             first_axes, shares = self.first[item.name]
             turn = axes @ first_axes.T
-            low_m, size_m = _box(item, depsgraph, turn)
+            low_m, size_m = _box(corners_m[item], turn)
             for probe, place in zip(probes, (low_m + shares * size_m) @ turn.T, strict=True):
                 if np.linalg.norm(place - self.places[probe.name]) > MOVED_M:
                     self.places[probe.name] = place
@@ -328,8 +329,8 @@ def _axes(item: bpy.types.Object) -> ArrayF64:
     return np.array(item.matrix_world.to_quaternion().normalized().to_matrix(), np.float64)
 
 
-def _box(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph, axes: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
-    """(3,) the low corner and the size of the object's box along the columns of `axes`, in metres."""
-    corners_m = box_corners_m(item, depsgraph) @ axes
-    low_m: ArrayF64 = corners_m.min(axis=0)
-    return low_m, corners_m.max(axis=0) - low_m
+def _box(corners_m: ArrayF64, axes: ArrayF64) -> tuple[ArrayF64, ArrayF64]:
+    """(3,) the low corner and the size of a box with these corners (K, 3) along the columns of `axes`, in metres."""
+    turned_m = corners_m @ axes
+    low_m: ArrayF64 = turned_m.min(axis=0)
+    return low_m, turned_m.max(axis=0) - low_m

@@ -17,7 +17,7 @@ from xihe_blender.io.run_results import RunResults
 from xihe_blender.report.document import write_document
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.colour_management import in_rec709, is_rec709
-from xihe_blender.scene.estimation_positions import box_corners_m
+from xihe_blender.scene.estimation_positions import all_box_corners_m
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
 from xihe_blender.viewer.page import TURNED, ViewedObject, viewed_frames, viewer_page
@@ -88,7 +88,7 @@ def viewed_objects(
             f"{MOST_TRIANGLES}: add a Decimate modifier to it, and name the file by --from"
         )
     shapes = {item.name: _exported(scene, item) for item in objects}
-    boxes_m = {item.name: box_corners_m(item, depsgraph) for item in objects}
+    boxes_m = {item.name: box for item, box in all_box_corners_m(objects, depsgraph).items()}
     from_start = {item.name: _inverse(_place(item, scene)) for item in objects}
     moves: dict[str, list[ArrayF64]] = {item.name: [] for item in objects}
     for frame in frames:
