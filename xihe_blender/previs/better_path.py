@@ -181,7 +181,7 @@ def find_looks(session: KeptSession, objects: Targets, settings: LookSettings) -
     """A job, a step per object: the best look for each, tried on the kept frames; nothing is rendered."""
     yield Progress(0, 1 + len(objects), "looking at what the path shows")
     lattice, (estimator, *_) = AnchorLattice(session.settings.n_anchors), load_estimators(session.settings)
-    room = KnownRoom.of_frames([one.points for one in session.frames])
+    room = KnownRoom.of_frames(one.unprojected(session.exposure) for one in session.frames)
     hull_m = room.hull_m(lattice)
     path = [(one.seen.frame, one.seen.world_from_camera) for one in session.frames]
     looks, found = looks_of(path, settings), []
@@ -189,8 +189,9 @@ def find_looks(session: KeptSession, objects: Targets, settings: LookSettings) -
         raise UserError(f"no look is within {settings.largest_turn_deg:g} degrees of the path: give a larger --turn")
     for number, (name, positions_m) in enumerate(objects.items()):
         yield Progress(1 + number, 1 + len(objects), f"trying {len(looks)} looks for {name}")
-        sampled = [[sample_unit_sphere(one.points, place, lattice) for one in session.frames] for place in positions_m]
-        target = Target(positions_m, sampled)
+        points = (one.unprojected(session.exposure) for one in session.frames)
+        by_frame = [[sample_unit_sphere(cloud, place, lattice) for place in positions_m] for cloud in points]
+        target = Target(positions_m, list(zip(*by_frame, strict=True)))
         clouds = target.clouds([frame for frame, _ in path])
         unseen = [guess_unseen(cloud, place, hull_m, lattice) for cloud, place in zip(clouds, positions_m, strict=True)]
         best = choose_look(looks, unseen, room, session.frames[0].seen.intrinsics, lattice, settings)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xihenet.camera import in_view
+from xihenet.camera import in_view, unproject_frame
 from xihenet.controller import ControllerSettings
 from xihenet.estimators import Estimator
 from xihenet.phone import Link
@@ -23,11 +23,18 @@ from xihenet.records import ArrayF64, Intrinsics, ObjectLight, PointCloud, RgbdF
 
 @dataclass(frozen=True, eq=False)
 class SeenFrame:
-    """One frame as the phone saw it, its points, and the camera as it truly was: intrinsics and (4, 4) pose."""
+    """One frame as the phone saw it, its points, and the camera as it truly was: intrinsics and (4, 4) pose.
+
+    `points` are three quarters of the memory. They are None on a path for which that is too much, see `unprojected`.
+    """
 
     seen: RgbdFrame
-    points: PointCloud
+    points: PointCloud | None
     camera: tuple[Intrinsics, ArrayF64]
+
+    def unprojected(self, exposure: float) -> PointCloud:
+        """The points, at the session's `exposure`; anew where they are not kept."""
+        return unproject_frame(self.seen, reference_exposure=exposure) if self.points is None else self.points
 
 
 @dataclass(eq=False)

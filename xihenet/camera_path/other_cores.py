@@ -29,7 +29,7 @@ AT_ONCE = 5
 """Places of a batch: half a second of work or so, which is how long cores may wait for the last one."""
 
 MOST_HELPERS = 3
-"""Each keeps a copy of the path, some 3 MB for each of its frames."""
+"""Each keeps a copy of the path, some 1.5 MB for each of its frames, or a quarter of that on a long one."""
 
 WORTH_IT = 40
 """Places; a helper takes about a second to start."""
