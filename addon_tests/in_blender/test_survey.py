@@ -104,7 +104,8 @@ def test_a_survey_comes_back_from_its_file_to_the_last_bit():
 
 
 def with_a_film(lamp):
-    lamp.use_nodes = True
+    if lamp.node_tree is None:
+        lamp.use_nodes = True
     film = lamp.node_tree.nodes.new("ShaderNodeTexImage")
     film.image = bpy.data.images.new("Television", 4, 4)
     film.image.source = "SEQUENCE"
