@@ -199,6 +199,12 @@ def test_names_of_scenes_cannot_break_the_page(tmp_path):
     assert "<b>\"'&" not in page and "a&lt;b" in page and "is missing" in page
 
 
+def test_a_batch_whose_best_estimator_has_no_psnr_has_its_answer():
+    perfect = trial(psnr=None, frames=())
+    words = answers.which_estimator([perfect, trial(estimator="projection", error=0.2)])
+    assert words.endswith("they are as the ground truth, or show no object.")
+
+
 def test_trials_without_any_value_make_a_page_too(tmp_path):
     empty = trial(psnr=None, shc_rmse=None, frames=(), trigger_sweep=(), estimates_per_minute=None)
     assert "No picture was compared" in plain(report_page(BatchFolder(tmp_path), results([empty]), None))
