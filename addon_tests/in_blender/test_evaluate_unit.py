@@ -21,7 +21,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.lab.batch.blender_process import write_result
 from xihe_blender.lab.batch.grid import BatchSettings, planned_units
 from xihe_blender.lab.batch.results import WORST_KINDS, FilesRead, read_result, result_file, worst_picture
-from xihe_blender.lab.batch.unit import FACTORS, _record_frame, estimates_per_minute, evaluate_unit, step_ms
+from xihe_blender.lab.batch.unit import FACTORS, _record_frame, estimates_per_minute, evaluate_unit, render_s, step_ms
 from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 from xihe_blender.lab.workers.processes import module_command
 from xihe_blender.scene.blend_file import open_blend
@@ -46,6 +46,11 @@ SEED = 1
 def test_every_rule_of_a_run_can_be_a_batchs():
     for rule, trigger in RULES.items():
         assert replace(SMALL, trigger=rule).of_trial("perfect", "projection", SEED).trigger == trigger
+
+
+def test_frames_that_only_one_of_the_phones_captures_count_among_what_was_rendered():
+    slow, fast = ([SimpleNamespace(render_s=s) for s in seconds] for seconds in ((2.0, 0.0), (2.0, 3.0)))
+    assert render_s([SimpleNamespace(frames=slow), SimpleNamespace(frames=fast)]) == 5.0
 
 
 def test_what_the_first_frame_sets_up_is_no_part_of_a_step():

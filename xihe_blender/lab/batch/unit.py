@@ -100,7 +100,7 @@ def evaluate_unit(file: Path, folder: Path, settings: BatchSettings, seed: int) 
     return UnitResult(
         trials=tuple(map(trial_figures, runs, chains, by_trial, swept, itertools.repeat(pixels))),
         step_ms=tuple(map(step_ms, chains)),
-        render_s=sum(entry.render_s for entry in chains[0].frames) + compared_s,
+        render_s=render_s(chains) + compared_s,
         cost=_cost(folder, start_s, start_processor_s),
         read=read,
     )
@@ -112,6 +112,11 @@ def _begun_with(outputs: RunOutputs) -> FilesRead:
     if kept_record(FilesRead, outputs.settings) != read:
         shutil.rmtree(outputs.folder, ignore_errors=True)
     return read
+
+
+def render_s(chains: Sequence[ChainResult]) -> float:
+    """Of all frames that any of the phones captures: they share the renders."""
+    return sum(max(entry.render_s for entry in same) for same in zip(*(one.frames for one in chains), strict=True))
 
 
 def step_ms(chain: ChainResult) -> float | None:
