@@ -26,6 +26,8 @@ from xihenet.edge.batching import Inference
 from xihenet.edge.client import EdgeBackend, backend_at
 from xihenet.edge.connection import EdgeRefused, Patience, PatientConnection, TryAgain
 from xihenet.edge.http_settings import ServerSettings
+from xihenet.edge.service import ServiceSettings
+from xihenet.edge.sessions import StoreLimits
 from xihenet.estimators import EstimateContext
 from xihenet.metrics import shc_rmse
 from xihenet.phone.network import LINKS, arrival_frames
@@ -305,6 +307,18 @@ def test_a_key_with_a_password_is_refused_without_asking_for_it(tmp_path):
     key.write_text(f"-----BEGIN RSA PRIVATE KEY-----\n{named}\n\n{'A' * 64}\n-----END RSA PRIVATE KEY-----\n")
     with pytest.raises(ssl.SSLError):
         tls_of(ServerSettings(port=0, certificate=certificate, key=key))
+
+
+def test_a_server_without_room_for_more_sessions_is_not_asked_for_them_in_every_frame(backend_to):
+    settings = ServerSettings(port=0, service=ServiceSettings(limits=StoreLimits(n_sessions=1)))
+    clouds = [random_cloud(np.random.default_rng(seed), N) for seed in range(2)]
+    with EdgeServer(settings) as server:
+        backend, n_refused = backend_to(server), []
+        for _ in range(3):
+            lights = backend.estimate_together(clouds, [EstimateContext()] * 2)
+            assert all(isinstance(light, tuple) for light in lights)
+            n_refused.append(server.service.metrics.counter("xihe_refused_total", what="store"))
+        assert n_refused == [QUICK.n_tries] * 3
 
 
 def test_over_tls_a_client_that_trusts_the_certificate_gets_light_and_another_says_why_not(tmp_path, monkeypatch):

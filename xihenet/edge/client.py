@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import math
 import os
 import ssl
 import threading
@@ -40,6 +41,9 @@ POSITION = "phone"
 MOST_KEPT_TIMES = 1000
 MOST_TOGETHER = 4
 """Requests under way at once: the server batches those of all clients, and a phone has few positions in view."""
+
+BESIDE_AGAIN_S = 60.0
+"""After a server had no room for another session: it refuses one only after several tries, seconds in every frame."""
 
 CONSTANT = 2 * np.sqrt(np.pi)  # The first coefficient of light of 1 from everywhere
 
@@ -73,6 +77,8 @@ class EdgeBackend:
         )
         self._beside: list[EdgeBackend] = []
         """Others of its kind, for estimates that are asked for at the same time."""
+        self._beside_again_s = -math.inf
+        """Of the monotonic clock, before which no more of them are opened, since the server would not."""
         self._lock = threading.Lock()
         self._session: dict[str, str] | None = None
         self._sensor = Ambient(n_anchors, target)
@@ -120,9 +126,12 @@ class EdgeBackend:
         n_beside = min(len(clouds), MOST_TOGETHER) - 1
         if self.connection.is_resting() or n_beside < 1:
             return [answer_of(self, *one) for one in zip(clouds, contexts, strict=True)]
-        missing = n_beside - len(self._beside)
+        missing = n_beside - len(self._beside) if time.monotonic() >= self._beside_again_s else 0
         with ThreadPoolExecutor(n_beside + 1) as pool:
-            self._beside += [one for one in pool.map(lambda _: self._another(), range(missing)) if one is not None]
+            others = list(pool.map(lambda _: self._another(), range(missing)))
+            self._beside += [one for one in others if one is not None]
+            if None in others:
+                self._beside_again_s = time.monotonic() + BESIDE_AGAIN_S
             lines = [self, *self._beside[:n_beside]]
             each = [lines[number % len(lines)] for number in range(len(clouds))]
             return list(pool.map(answer_of, each, clouds, contexts))
