@@ -136,6 +136,20 @@ def test_a_material_slot_that_no_face_uses_is_left_out(is_subdivided):
     assert state(scene, "transmission") == "off"
 
 
+def test_the_faces_of_a_mesh_are_looked_at_once_for_all_that_show_it(monkeypatch):
+    """A forest has thousands of instances of one tree, and they were looked at for each, in each frame."""
+    scene, looked, array_of = with_ball(glass), [], transport_survey.array_of
+    monkeypatch.setattr(transport_survey, "array_of", lambda *asked: looked.append(asked[1]) or array_of(*asked))
+    mesh = bpy.data.objects["Ball"].data
+    mesh.materials.append(mirror())
+    mesh.polygons[0].material_index = 1
+    mesh.polygons[1].material_index = 300  # Beyond the last, which is meant.
+    for k in range(5):
+        add(scene, f"Copy {k}", mesh, (k, 0, 0))
+    assert state(scene, "transmission", frames=[1, 2]) == "on"
+    assert looked == 2 * ["material_index"]
+
+
 def test_a_material_linked_to_the_object_wins_over_the_meshs():
     scene = with_ball(glass)
     slot = bpy.data.objects["Ball"].material_slots[0]

@@ -87,11 +87,14 @@ class TransportSurveyor:
         self.views: list[Ray] = rays_all_round(positions)
         self.reached: list[Ray] = []  # places on surfaces that the walks met, with their normals
         self.still: dict[Any, Shading] = {}  # of what no animation changes, by original data-block
+        self.slots: dict[tuple[int, int], list[int]] = {}
+        """That the faces of a mesh have, at the frame that is looked at, by its address and the number of slots."""
         self.solids: dict[int, Solids] = {}
         """By how all stands: where only the phone moves, two are made, with the virtual objects and without."""
 
     def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
         layer = depsgraph.view_layer_eval
+        self.slots.clear()
         n_lights = self._world(getattr(layer, "world_override", None) or depsgraph.scene_eval.world)
         for instance in depsgraph.object_instances:
             n_lights += self._instance(instance)
@@ -167,7 +170,7 @@ class TransportSurveyor:
         if instance.show_self and item.type in GEOMETRY_TYPES:
             if item.type == "CURVES" and is_seen:
                 self.found.strands[item.name] = None
-            for material in _used_materials(item):
+            for material in self._used_materials(item):
                 emits |= self._surface(item, material, is_seen)
                 if not all(_is_visible(instance, (ray,)) for ray in RAYS):
                     self.leaky.add(_format_surface(item, material))
@@ -191,6 +194,22 @@ class TransportSurveyor:
         if emits:
             self.found.emitters[item.name] = None
         return int(emits)
+
+    def _used_materials(self, item: bpy.types.Object) -> list[bpy.types.Material | None]:
+        """Materials that faces of an evaluated object really have; [None] for one without slots, [] without faces."""
+        n_slots = len(item.material_slots)
+        if item.type != "MESH":
+            return [slot.material for slot in item.material_slots] or [None]
+        mesh = undivided_mesh(item)
+        if len(mesh.polygons) == 0:
+            return []
+        if n_slots < 2:
+            return [_slot_material(item, 0)]
+        key = mesh.as_pointer(), n_slots
+        if key not in self.slots:  # A forest has thousands of instances of one tree of many faces.
+            indices = array_of(mesh.polygons, "material_index", np.int32).clip(0, n_slots - 1)
+            self.slots[key] = np.flatnonzero(np.bincount(indices)).tolist()
+        return [_slot_material(item, slot) for slot in self.slots[key]]
 
     def _look(self, block: Any, read: Any) -> Shading:
         """What `block`, as evaluated at this frame, may do; read once if nothing in it is animated."""
@@ -220,19 +239,6 @@ def _is_visible(instance: Any, rays: Sequence[str]) -> bool:
 
 def _format_surface(item: bpy.types.Object, material: bpy.types.Material | None) -> str:
     return f"material {material.name!r} on {item.name!r}" if material is not None else f"{item.name!r}"
-
-
-def _used_materials(item: bpy.types.Object) -> list[bpy.types.Material | None]:
-    """Materials that faces of an evaluated object really have; [None] for one without slots, [] without faces."""
-    if item.type != "MESH":
-        return [slot.material for slot in item.material_slots] or [None]
-    polygons = undivided_mesh(item).polygons
-    if len(polygons) == 0:
-        return []
-    if len(item.material_slots) < 2:
-        return [_slot_material(item, 0)]
-    indices = np.unique(array_of(polygons, "material_index", np.int32))
-    return [_slot_material(item, int(index)) for index in indices]
 
 
 def _slot_material(item: bpy.types.Object, slot: int) -> bpy.types.Material | None:
