@@ -25,7 +25,7 @@ from xihe_blender.lab.frontier.choices import LARGE_TABLE, QUICK, compute_choice
 from xihe_blender.lab.frontier.compute import Light
 from xihe_blender.lab.frontier.pictures import LIGHTS, PicturesTaken, are_whole, picture_choices
 from xihe_blender.lab.frontier.points import MeasuredScene, family, group, groups, is_whole_scene
-from xihe_blender.lab.frontier.records import Frontier, FrontierSettings, RenderChoice, StudySize
+from xihe_blender.lab.frontier.records import Frontier, FrontierScene, FrontierSettings, RenderChoice, StudySize
 from xihe_blender.lab.frontier.rendering import Round, is_whole_round
 from xihe_blender.lab.frontier.study import (
     Prepared,
@@ -59,6 +59,21 @@ def little_to_do():
             few = replace(PRESETS[name], comparison_samples=samples, min_samples=samples, max_samples=samples)
             patch.setitem(PRESETS, name, few)
         yield
+
+
+def test_a_scene_that_is_saved_anew_while_another_is_measured_is_refused(tmp_path, monkeypatch):
+    room_with_a_virtual_sphere()
+    first, second = (saved(tmp_path / f"{name}.blend") for name in ("first", "second"))
+
+    def measure_scene(file, folder, settings):
+        second.write_bytes(first.read_bytes() + b" ")
+        yield from ()
+        nothing = {"n_walk_frames": 0, "n_places": 0, "views": (), "presets": {}, "exhaustive_samples": 1}
+        return MeasuredScene(fronts={}, scene=FrontierScene(name=file.stem, exposure=1.0, size=(4, 4), **nothing))
+
+    monkeypatch.setattr("xihe_blender.lab.frontier.study.measure_scene", measure_scene)
+    with pytest.raises(UserError, match=r"second\.blend has changed meanwhile"):
+        run_blocking(frontier([first, second], tmp_path / "out", SMALL))
 
 
 def test_an_object_that_moves_is_estimated_where_it_is_in_a_picture():

@@ -97,10 +97,11 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
             survey_scene(scene, settings.size)
         patterns += files_read()
         yield Progress(0, len(files), f"{file.stem}: looked at the scene")
+    contents = {file: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     provenance = {
         "xihe": __version__,
         "blender": bpy.app.version_string,
-        "scenes": {file.stem: hashlib.sha256(file.read_bytes()).hexdigest() for file in files},
+        "scenes": {file.stem: content for file, content in contents.items()},
         "linked_sha256": contents_sha256(patterns),
         "settings": asdict(settings),
         "weights": weights_sha256({choice.estimator for choice in compute_choices(is_quick=False)}, "ldr"),
@@ -109,14 +110,17 @@ def frontier(files: Sequence[Path], out: Path, settings: FrontierSettings, comma
     }
     results = (out / "frontier.json", out / "report.html")
     with FolderManifest(out, out / "work" / "settings.json", "a frontier", provenance, results).held():
-        return (yield from _measured(files, out, settings, command))
+        return (yield from _measured(contents, out, settings, command))
 
 
-def _measured(files: Sequence[Path], out: Path, settings: FrontierSettings, command: str) -> Job[Frontier]:
-    names, kept = [file.stem for file in files], []
-    for number, file in enumerate(files):
+def _measured(contents: Mapping[Path, str], out: Path, settings: FrontierSettings, command: str) -> Job[Frontier]:
+    """`contents` are SHA-256 of the files: one may be saved anew while others are measured."""
+    names, kept = [file.stem for file in contents], []
+    for number, (file, content) in enumerate(contents.items()):
+        if hashlib.sha256(file.read_bytes()).hexdigest() != content:
+            raise UserError(f"{file} has changed meanwhile: put it back as it was, or choose another folder for --out")
         path = out / "work" / file.stem / "measured.json"
-        job = part_of(len(files), number, 1, measure_scene(file, path.parent, settings), file.stem)
+        job = part_of(len(contents), number, 1, measure_scene(file, path.parent, settings), file.stem)
         kept.append((yield from kept_or_done(MeasuredScene, path, job, functools.partial(is_whole_scene, file.stem))))
     points = [p for name, one in zip(names, kept, strict=True) for p in points_of(name, one.fronts, settings.seed)]
     found = Frontier(
