@@ -109,6 +109,15 @@ def test_every_way_to_compute_gives_a_finite_light_at_every_place():
         assert lights.shape == (walk.n_places, 25, 3) and np.isfinite(lights).all(), choice.label
 
 
+def test_the_light_of_what_has_moved_is_that_of_its_new_place():
+    walk, there = room_walk(), {"a": (0.1, 1.6, 0.2), "b": (0.2, 2.6, 0.0)}
+    moved = replace(walk, moved=dict.fromkeys((1, 2, 3), there))
+    stands = replace(walk, positions={name: np.array(place) for name, place in there.items()})
+    lights = lights_of(ComputeChoice(), moved)
+    assert np.array_equal(lights, lights_of(ComputeChoice(), stands))
+    assert not np.allclose(lights, lights_of(ComputeChoice(), walk), atol=1e-3)
+
+
 def test_brute_force_gives_the_light_of_exact_and_a_finer_table_is_nearer_to_it():
     exact = lights_of(ComputeChoice())
     assert lights_of(ComputeChoice(nearest="brute")) == pytest.approx(exact, abs=1e-6)

@@ -16,7 +16,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,9 +56,14 @@ class Walk:
 
     frames: Sequence[RgbdFrame]  # captures, at least one
     active: Sequence[Sequence[str]]  # for each frame the names of the positions in view
-    positions: Mapping[str, ArrayF64]  # (3,) world, metres, by name
+    positions: Mapping[str, ArrayF64]  # (3,) world, metres, by name, where they have not `moved`
     truths: Sequence[Mapping[str, ArrayF64]]  # (25, 3) coefficients of the rendered light probe for each frame, by name
     exposure: float  # of the session
+    moved: Mapping[int, Mapping[str, Sequence[float]]] = field(default_factory=dict)  # where positions are, by frame
+
+    def at(self, name: str, frame: int) -> ArrayF64:
+        """(3,) world, metres: where a position is in a frame."""
+        return np.asarray(self.moved.get(frame, {}).get(name, self.positions[name]), np.float64)
 
     @property
     def n_places(self) -> int:
@@ -114,6 +119,8 @@ def walk_through(backend: ChoiceBackend, walk: Walk, clock: Clock = time.thread_
     n_estimates, elapsed_ms = 0, 0.0
     for frame, active in zip(frames, walk.active, strict=True):
         backend.made.clear()
+        for name in walk.positions:
+            session.move_position(name, walk.at(name, frame.frame))
         start = clock()
         reports = session.step(frame, active=active)
         elapsed_ms += 1e3 * (clock() - start)

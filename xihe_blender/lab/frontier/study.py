@@ -187,7 +187,7 @@ def measure_scene(file: Path, folder: Path, settings: FrontierSettings) -> Job[M
                 **vars(study),
                 scanner=scanner,
                 capture=capture,
-                views={frame.frame: [walk.positions[name] for name in names] for frame, names in seen},
+                views={frame.frame: [walk.at(name, frame.frame) for name in names] for frame, names in seen},
                 choices=render_choices(presets, size, study_size, is_quick=settings.is_quick),
                 exhaustive=exhaustive_render(size, study_size, presets),
             )
@@ -242,7 +242,8 @@ def prepare(study: SceneStudy) -> Job[Prepared]:
 def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[Walk]:
     """Captures, and light probes at the positions in view, of frames spread over the path."""
     plan = study.plan
-    positions = {probe.name: probe.position_m for probe in plan.probes}
+    at = {probe.name: probe for probe in plan.probes}
+    positions = {name: probe.position_m for name, probe in at.items()}
     chosen = evenly_chosen(list(study.survey.in_view.items()), study.study_size.n_walk_frames)
     probes = ProbeSettings(
         max_samples=study.study_size.probe_samples, noise_target=PROBE_NOISE, seed=study.settings.seed,
@@ -256,6 +257,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
             lights = {}
             for done, name in enumerate(active):
                 yield Progress(done, len(active), f"measuring the true light at {name} in frame {frame}")
+                probe.move(indices[name], at[name].at(frame))
                 lights[name] = probe.light_at(indices[name], frame, prepared.exposure).measured.ldr.tolist()
             return lights
 
@@ -267,7 +269,7 @@ def _walk(study: SceneStudy, prepared: Prepared, scanner: CyclesScanner) -> Job[
             job = part_of(len(chosen), index, 1, measured(frame, active))
             lights = yield from kept_or_done(dict[str, Light], path, job, functools.partial(are_whole_truths, active))
             truths.append({name: np.array(light) for name, light in lights.items()})
-    return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure)
+    return Walk(frames, [active for _, active in chosen], positions, truths, prepared.exposure, study.survey.moved)
 
 
 def are_whole_truths(names: Sequence[str], kept: Mapping[str, Light]) -> bool:
