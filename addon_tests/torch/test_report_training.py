@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -224,6 +225,16 @@ def test_a_report_without_clouds_in_a_group_has_gaps_and_no_error(validation):
     walk = next(table for table in validation.tables if table.name == WALK)
     assert walk.n_clouds == 0 and all(row.figures.ratio is None for row in walk.rows)
     assert "No such clouds." in report_markdown(validation) and json.loads(report_json(validation))
+
+
+def test_a_report_on_rooms_of_which_none_is_in_the_split_has_gaps_and_no_error(folders, networks, tmp_path):
+    without = tmp_path / "clouds"
+    shutil.copytree(folders["sphere"], without)
+    for file in (without / "test").glob("*.npy"):
+        np.save(file, np.load(file)[:0])
+    report = make_report(ReportSettings([without], {"lattice": [networks["lattice_0"]]}))
+    assert "No such clouds." in report_markdown(report) and json.loads(report_json(report))
+    assert report_plots(report) == {} and report.calibration[0].figures.all.n_clouds == 0
 
 
 def test_the_linear_fit_finds_a_linear_law():

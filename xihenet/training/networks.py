@@ -132,7 +132,8 @@ def read_batch(clouds: CloudSet, rows: ArrayInt, target: Target, device: str) ->
 def predict(net: nn.Module, clouds: CloudSet, target: Target, device: str) -> tuple[Any, Any]:
     """(M, 9, 3) coefficients and (M,) expected errors or None, NumPy float32, of all clouds in their order."""
     net.eval()
-    lights, errors = [np.zeros((0, 9, 3), np.float32)], []
+    lights = [np.zeros((0, 9, 3), np.float32)]
+    errors = [np.zeros(0, np.float32)] if isinstance(net, LatticeNet) else []
     with torch.no_grad():
         for start in range(0, len(clouds), _CLOUDS_AT_ONCE):
             rows = np.arange(start, min(start + _CLOUDS_AT_ONCE, len(clouds)))

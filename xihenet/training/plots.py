@@ -96,7 +96,7 @@ def report_plots(report: Report) -> dict[str, str]:
         plots["coverage"] = line_chart("Error against coverage", curves, seen, _up(curves, 1.0), names, ones)
     if report.learning:
         plots["rooms"] = _learning_plot(report.learning)
-    for row in report.calibration:
+    for row in (one for one in report.calibration if one.figures.bins):
         name = "".join(letter if letter.isalnum() else "_" for letter in row.name)
         plots[f"calibration_{name}"] = _calibration_plot(row)
     return plots
