@@ -174,6 +174,8 @@ def test_the_camera_of_another_tum_recording_lies_beside_it(tmp_path):
     (tmp_path / "camera.json").write_text("[]")
     with pytest.raises(ValueError, match=r"camera\.json: expected a JSON object"):
         open_capture(tmp_path)
+    tum.write(tmp_path, walk(TUM, 2))
+    assert open_capture(tmp_path).frames[0].camera.intrinsics == TUM
 
 
 @PACKED

@@ -44,6 +44,7 @@ def write(folder: Path, frames: Iterable[RgbdFrame]) -> Written:
         for file, said in zip(FILES, (*names, " ".join(f"{value:.9f}" for value in values)), strict=True):
             lists[file].append(f"{time} {said}")
     folder.mkdir(exist_ok=True, parents=True)
+    (folder / CAMERA).unlink(missing_ok=True)  # Of an earlier recording
     if camera is not None and not _is_the_benchmarks(camera):
         content = {name: getattr(camera, name) for name in CAMERA_KEYS}
         (folder / CAMERA).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
