@@ -447,6 +447,12 @@ def test_a_training_that_diverges_ends_with_what_to_do_and_not_as_if_it_were_don
         train(quick(caches["sphere"], tmp_path, learning_rate=1e10))
 
 
+def test_a_network_that_was_taken_away_after_its_training_is_missed(caches, tmp_path):
+    train(quick(caches["sphere"], tmp_path, epochs=1)).unlink()
+    with pytest.raises(ValueError, match=r"best\.pt is not there, .* train again"):
+        train(quick(caches["sphere"], tmp_path, epochs=1))
+
+
 def test_the_expected_error_learns_the_mean_error(tmp_path):
     made, settings = torch.full((4, 9, 3), 0.3), quick(tmp_path, tmp_path)
     losses = {e: training_loss(made, torch.full((4,), e), torch.zeros(4, 9, 3), settings) for e in (0.2, 0.3, 0.4)}

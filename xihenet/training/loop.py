@@ -147,7 +147,10 @@ def train(settings: TrainSettings, *, stop_after: int | None = None, progress: P
             f"epoch {run.epoch}/{settings.epochs}  loss {loss:.4f}  validation {ratio:.3f} of the mean predictor's "
             f"(best in epoch {run.best_epoch})  {format_duration(left_s)} left"
         )
-    return settings.out / "best.pt"
+    best = settings.out / "best.pt"
+    if not best.exists():
+        raise ValueError(f"{best} is not there, and its training is done: remove the folder, and train again")
+    return best
 
 
 def check_trainable(settings: TrainSettings, content: Content) -> None:
