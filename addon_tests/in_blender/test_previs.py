@@ -37,9 +37,11 @@ from xihe_blender.io.run_results import ComparedFrame
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.compare_path import LIT_BY, OBJECTS, kept_comparison
 from xihe_blender.previs.kept_session import OF_CHAIN, open_kept_session
-from xihe_blender.previs.prepare import positive_exposure
+from xihe_blender.previs.plan import plan_previs
+from xihe_blender.previs.prepare import PreparedRun, positive_exposure, prepare_run, survey_run
 from xihe_blender.previs.previs import previs
 from xihe_blender.previs.results import AS_SET
+from xihe_blender.previs.settings import load_estimators
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet import estimators
 from xihenet.formats import format_number
@@ -416,3 +418,17 @@ def test_following_is_said_and_can_be_switched_off(finished):
     assert any(f"At frame {LOOKS_AWAY + 1} the light in view changed as a whole" in n for n in results["notes"])
     assert results["settings"]["following"]["smallest_stops"] == SMALL.chain(1.0).following.smallest_stops == 0.5
     assert replace(SMALL, following=None).chain(1.0).following is None
+
+
+def test_how_far_a_run_is_is_said_without_another_look_at_all_of_its_frames(tmp_path, monkeypatch):
+    """A run of 2,000 frames with 60 positions says so 120,000 times, and such a look took 40 ms."""
+    scene, outputs = room_with_a_virtual_sphere(4), RunOutputs(tmp_path, "room")
+    settings = replace(SMALL, frames=None, size=(32, 24), samples=2, exposure=1.0)
+    plan = plan_previs(scene, settings)
+    survey = run_blocking(survey_run(scene, plan, outputs))
+    run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
+    looked, in_view = [], PreparedRun.probes_in_view
+    monkeypatch.setattr(PreparedRun, "probes_in_view", lambda of, frame: looked.append(frame) or in_view(of, frame))
+    done = [run.progress(stage, k / 10, "at work").done for stage in ("capture", "methods") for k in range(10)]
+    assert done == sorted(done) and len(set(done)) == len(done)
+    assert sorted(looked) == list(plan.frames)

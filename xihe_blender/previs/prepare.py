@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import bpy
 
@@ -118,9 +118,12 @@ class PreparedRun:
             "comparison": len(compared_frames(active, self.settings.preset_values.comparison_step)),
         }
 
-    @property
+    @cached_property
     def work(self) -> dict[str, float]:
-        """Units of work by stage, in order, as far as can be told from numbers of samples; see PROBE_WORK."""
+        """Units of work by stage, in order, as far as can be told from numbers of samples; see PROBE_WORK.
+
+        Every step of a run asks for it, and it looks at all frames.
+        """
         if not self.has_truth:
             return {"capture": 0.1 * len(self.plan.frames), "methods": float(len(self.plan.frames))}
         n, megapixels = self.n_renders, self.plan.size[0] * self.plan.size[1] / 1e6
