@@ -30,6 +30,7 @@ from xihe_blender.io.run_results import read_results
 from xihe_blender.jobs import run_blocking
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.shader_nodes import new_material
+from xihe_blender.viewer import page as module
 from xihe_blender.viewer.save import viewed_objects
 from xihenet.io.recording import load_frame
 from xihenet.light.platforms import Y_UP, coefficients_for, convention_of
@@ -133,6 +134,17 @@ def material_of(glb):
     """The first one of a GLB, or None."""
     length = int.from_bytes(glb[12:16], "little")
     return json.loads(glb[20 : 20 + length]).get("materials", [None])[0]
+
+
+def test_a_page_that_no_browser_would_open_is_refused_before_a_frame_is_read(done, monkeypatch):
+    results, outputs = read_results(done[0]), RunOutputs(done[0])
+    monkeypatch.setattr(module, "MOST_PICTURES", 1000)
+    monkeypatch.setattr(module, "load_frame", None)
+    words = (
+        r"the pictures of \d+ frames have [0-9.]+ kB, and browsers open a page with 1.0 kB: run again with fewer frames"
+    )
+    with pytest.raises(UserError, match=words):
+        module.viewed_frames(results, outputs)
 
 
 def test_an_object_without_a_material_is_the_grey_that_cycles_has_for_it():

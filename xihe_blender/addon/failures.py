@@ -20,6 +20,7 @@ IN_THE_PANEL = {
     "--light": "Light",
     "--others": "Compare With",
     "--frames": "Own Frames",
+    "--size": "Own Size",
     "--height": "Height",
     "--network": "Network",
     "choose another folder for --out": "run again, with a Runs Folder that can be written to",

@@ -24,7 +24,7 @@ from xihe_blender.io.run_lights import light_with_reflections, panorama_of_chang
 from xihe_blender.io.run_results import FrameResult, RunResults
 from xihe_blender.report.document import png_url
 from xihe_blender.report.values import escape, mean
-from xihenet.formats import format_number, format_percent, format_quantity
+from xihenet.formats import format_bytes, format_count, format_number, format_percent, format_quantity
 from xihenet.io.png import encode_png
 from xihenet.io.recording import load_frame
 from xihenet.light.environments import encode_hdr, laid_out
@@ -36,6 +36,10 @@ TURNED = np.block([[Y_UP, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]
 """(4, 4) from Blender's axes to those of three.js and glTF."""
 
 NOTHING_MM = 65535
+MOST_PICTURES = 250_000_000
+"""Bytes of PNG. As text, with the depth, they are twice that, and Chromium reads no more than 537 million characters of
+a page at once. Of 256x192 pixels it is some 1,500 frames, of 1920x1440 some 60."""
+
 TITLES = {"truth": "the rendered light probe", "ambient": "the ambient light sensor"}
 
 
@@ -78,7 +82,8 @@ class _Stored:
 
 
 def viewed_frames(results: RunResults, outputs: RunOutputs) -> dict[int, RgbdFrame]:
-    """What the phone saw, by frame; UserError where the run's captures are gone or there are none."""
+    """What the phone saw, by frame; UserError where the run's captures are gone, none, or too many."""
+    _check_can_be_opened(results, outputs)
     seen = {}
     for frame in results.captured_frames:
         capture = None if frame.rendering is None else frame.rendering.capture
@@ -94,6 +99,19 @@ def viewed_frames(results: RunResults, outputs: RunOutputs) -> dict[int, RgbdFra
     if not seen:
         raise UserError("the run has captured no frame: nothing can be shown")
     return seen
+
+
+def _check_can_be_opened(results: RunResults, outputs: RunOutputs) -> None:
+    """UserError where no browser would open a page with all pictures; before any of them is read."""
+    kinds = [("captured", results.captured_frames), ("ground_truth", [one for one in results.frames if one.compared])]
+    files = [outputs.picture(kind, frame.frame) for kind, frames in kinds for frame in frames]
+    n_bytes = sum(file.stat().st_size for file in files if file.is_file())
+    if n_bytes > MOST_PICTURES:
+        raise UserError(
+            f"the pictures of {format_count(len(results.captured_frames), 'frame')} have {format_bytes(n_bytes, 2)}, "
+            f"and browsers open a page with {format_bytes(MOST_PICTURES, 2)}: run again with fewer frames (--frames), "
+            "or smaller pictures (--size)"
+        )
 
 
 def viewer_page(
