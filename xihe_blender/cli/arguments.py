@@ -14,6 +14,7 @@ from glob import glob
 from pathlib import Path
 from typing import Any, TypeVar
 
+from xihe_blender.errors import UserError
 from xihe_blender.previs import presets
 from xihe_blender.previs.presets import PRESETS
 from xihenet import estimators
@@ -71,6 +72,12 @@ def settings_from(options: argparse.Namespace, kind: Callable[..., Settings], **
     """The settings record `kind` with all options that are named as its fields are, and `others`."""
     fields = inspect.signature(kind).parameters
     return kind(**{name: value for name, value in vars(options).items() if name in fields} | others)
+
+
+def check_one_kind_of_workers(n_workers: int | None, scheduler: str | None) -> None:
+    """UserError where both are given."""
+    if n_workers is not None and scheduler is not None:
+        raise UserError("--workers are processes on this machine, and --scheduler has workers of its own: give one")
 
 
 def files(given: Iterable[Path]) -> list[Path]:

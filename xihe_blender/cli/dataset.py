@@ -6,7 +6,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from xihe_blender.cli.arguments import FRAMES, add_scene, adder, frame_range, names, settings_from
+from xihe_blender.cli.arguments import (
+    FRAMES,
+    add_scene,
+    adder,
+    check_one_kind_of_workers,
+    frame_range,
+    names,
+    settings_from,
+)
 from xihe_blender.cli.progress import progress_line, when_news
 from xihe_blender.jobs import run_blocking
 from xihenet.formats import format_count
@@ -48,6 +56,7 @@ def _build(options: argparse.Namespace, stdout: Any, stderr: Any) -> None:
     from xihe_blender.lab.rooms.build import build_dataset
     from xihe_blender.lab.rooms.settings import BuildSettings
 
+    check_one_kind_of_workers(options.n_workers, options.scheduler)
     settings = settings_from(options, BuildSettings)
     n_made = run_blocking(build_dataset(options.out, settings), when_news(progress_line(stderr)))
     n_rooms = format_count(len(settings.wanted()), "room")

@@ -44,8 +44,7 @@ def run(options: argparse.Namespace, stdout: Any, stderr: Any) -> int:
 
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers {options.workers}: give 1 or more")
-    if options.workers is not None and options.scheduler is not None:
-        raise UserError("--workers are processes on this machine, and --scheduler has workers of its own: give one")
+    arguments.check_one_kind_of_workers(options.workers, options.scheduler)
     phones = tuple(_absolute_profile(name) for name in options.profiles or ("perfect",))
     job = evaluate_batch(
         arguments.files(options.scenes),

@@ -75,8 +75,6 @@ class BuildSettings:
                 raise UserError(f"--{option} {number}: give {words}")
         if self.views is not None and self.walk is not None:
             raise UserError("--views and --walk: give one of them")
-        if self.n_workers is not None and self.scheduler is not None:
-            raise UserError("--workers are processes on this machine, and --scheduler has workers of its own: give one")
         for name, share in (("varied", self.varied), ("by-day", self.by_day)):
             if not 0 <= share <= 1:
                 raise UserError(f"--{name} {share:g}: give a share between 0 and 1")
