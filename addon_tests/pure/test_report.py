@@ -17,6 +17,7 @@ from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import from_json
 from xihe_blender.io.outputs import RunOutputs, write_json
 from xihe_blender.io.run_results import RunResults, read_results
+from xihe_blender.report import pictures
 from xihe_blender.report.pictures import MAX_FRAMES
 from xihenet.formats import format_number, format_runs
 from xihenet.io.png import write_png
@@ -281,6 +282,17 @@ def test_a_file_outside_the_run_is_not_embedded(tmp_path):
     results["frames"][0]["pictures"]["truth"] = "../private.png"
     page = page_of(results, outputs)
     assert base64.b64encode((tmp_path / "private.png").read_bytes()).decode() not in page
+
+
+def test_of_large_pictures_fewer_frames_are_embedded_and_one_at_least(tmp_path, monkeypatch):
+    results, outputs = synthetic(tmp_path, n_frames=12, compare_every=1)
+    whole = len(page_of(results, outputs))
+    of_frame = max(sum((tmp_path / name).stat().st_size for name in f["pictures"].values()) for f in results["frames"])
+    for most_bytes, n_shown in ((3 * of_frame, 3), (1, 1)):
+        monkeypatch.setattr(pictures, "MAX_BYTES", most_bytes)
+        page = page_of(results, outputs)
+        assert len(Page(page).attributes("input", "data-frame")) == n_shown and len(page) < whole
+        assert f"Pictures of {12 - n_shown} more frames are files beside this page" in Page(page).text
 
 
 def test_frames_left_out_are_named_and_every_estimate_is_kept(tmp_path):

@@ -2,7 +2,8 @@
 
 Each chosen frame is a strip of pictures; radio buttons before the strips choose one, so that it works without
 JavaScript and with the arrow keys. The wipe borrows the strips' pictures and appears only where JavaScript runs.
-Embedding is the price of one self-contained file, so at most `MAX_FRAMES` frames are embedded; the others are named.
+Embedding is the price of one self-contained file, so at most `MAX_FRAMES` frames are embedded, and of large pictures
+as many as `MAX_BYTES` hold; the others are named.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ from xihenet.formats import format_count, format_list, format_number, format_per
 from xihenet.svg import icon
 
 MAX_FRAMES = 16
+MAX_BYTES = 150_000_000
+"""Of PNG: a page of 200 MB. Of 1920x1440 pixels a frame with three methods has some 20 MB; 16 of them are a page of
+430, which takes five times as much memory to be written."""
+
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -31,7 +36,8 @@ def pictures_section(results: RunResults, outputs: RunOutputs) -> str:
     frames = [frame for frame in timeline.frames if frame.compared is not None or frame.composited]
     if not frames:
         return "<p>This run made no pictures.</p>"
-    chosen, pictures = choose_frames(frames), {frame.frame: _pictures_of(frame, outputs) for frame in frames}
+    pictures = {frame.frame: _pictures_of(frame, outputs) for frame in frames}
+    chosen = choose_frames(frames, _most_frames(pictures.values(), outputs.folder))
     kinds = picture_kinds(pictures.values(), results.settings.estimator)
     meanings = {kind: _kind_meaning(kind, results.settings.error_map_full_scale) for kind in kinds}
     places = {frame.frame: x for frame, x in zip(timeline.frames, timeline.centres_percent, strict=True)}
@@ -52,12 +58,19 @@ def _pictures_of(frame: FrameResult, outputs: RunOutputs) -> Mapping[str, str]:
     return {"captured": outputs.relative(outputs.picture("captured", frame.frame)), **frame.composited}
 
 
-def choose_frames(frames: Sequence[FrameResult]) -> list[FrameResult]:
-    """At most MAX_FRAMES, ascending: first those at which an estimate was made, then the others, both spread evenly."""
+def _most_frames(pictures: Iterable[Mapping[str, str]], folder: Path) -> int:
+    """How many frames, of which `pictures` has the files by kind, are embedded: one at least."""
+    files = [[folder / name for name in of_frame.values()] for of_frame in pictures]
+    largest = max(sum(file.stat().st_size for file in of_frame if file.is_file()) for of_frame in files)
+    return max(1, min(MAX_FRAMES, MAX_BYTES // max(1, largest)))
+
+
+def choose_frames(frames: Sequence[FrameResult], most: int = MAX_FRAMES) -> list[FrameResult]:
+    """At most that many, ascending: first those at which an estimate was made, then the others, both spread evenly."""
     chosen: list[FrameResult] = []
     for group in ([frame for frame in frames if fired_probes(frame)], frames):
         left = [frame for frame in group if frame not in chosen]
-        while left and len(chosen) < MAX_FRAMES:
+        while left and len(chosen) < most:
             farthest = max(left, key=lambda f: min((abs(f.frame - c.frame) for c in chosen), default=0))
             chosen.append(farthest)
             left.remove(farthest)
