@@ -34,7 +34,7 @@ from xihe_blender.apply.datablocks import (
 )
 from xihe_blender.apply.images import write_image
 from xihe_blender.apply.key_suns import key_suns, remove_key_sun
-from xihe_blender.apply.keys import clear_keys, hold_keys
+from xihe_blender.apply.keys import add_keys, clear_keys, f_curves, hold_keys
 from xihe_blender.apply.lit_scene import (
     CapturedFrames,
     has_its_frames,
@@ -190,17 +190,14 @@ def show_found_light(
     key_object_light(world, name, _changes(of_frames), exposure, reflected, has_key_light=has_key_light)
     live = {name: (light.coverage[last], light.expected_error[last]) for name, light in found.items()}
     LightOf(places, live={} if is_at_run else live, run=folder.name).write(world)
-    clear_keys(world)
     if is_at_run:
         _key_curves(world, results, name)
     else:
         world.pop(ERROR_CURVE, None)
-        for frame in of_frames:
-            _key(world, COVERAGE_CURVE, frame, [light.coverage[frame] for light in lights])
-            expected = [value for light in lights if (value := light.expected_error[frame]) is not None]
-            if expected:
-                _key(world, EXPECTED_CURVE, frame, expected)
-        hold_keys(world)
+        coverage = {frame: [light.coverage[frame] for light in lights] for frame in of_frames}
+        errors = {frame: [light.expected_error[frame] for light in lights] for frame in of_frames}
+        expected = {frame: [one for one in each if one is not None] for frame, each in errors.items()}
+        _key(world, {COVERAGE_CURVE: coverage, EXPECTED_CURVE: expected})
     reached = max((frame for frame in of_frames if frame <= scene.frame_current), default=min(of_frames))
     show_light(name, of_frames[reached].sh / exposure)
 
@@ -229,19 +226,24 @@ def light_in_use(results: RunResults, name: str, frame: int) -> ArrayF64:
 
 def _key_curves(world: bpy.types.World, results: RunResults, name: str) -> None:
     """Error and coverage of an object at each frame in which it was in view: the mean over its positions."""
-    for entry in results.frames:
-        probes = [probe for probe in entry.probes if probe.object == name]
-        if probes:
-            errors = [probe.shc_rmse for probe in probes if probe.shc_rmse is not None]
-            if errors:
-                _key(world, ERROR_CURVE, entry.frame, errors)
-            _key(world, COVERAGE_CURVE, entry.frame, [probe.coverage for probe in probes])
+    probes = {entry.frame: [probe for probe in entry.probes if probe.object == name] for entry in results.frames}
+    errors = {f: [one.shc_rmse for one in each if one.shc_rmse is not None] for f, each in probes.items()}
+    coverage = {frame: [one.coverage for one in each] for frame, each in probes.items()}
+    _key(world, {ERROR_CURVE: errors, COVERAGE_CURVE: coverage})
+
+
+def _key(world: bpy.types.World, curves: Mapping[str, Mapping[int, Sequence[float]]]) -> None:
+    """Key the mean of the values at each frame that has any, by curve, in place of all keys of `world` itself."""
+    clear_keys(world)
+    for name, values in curves.items():
+        means = {frame: float(np.mean(each)) for frame, each in values.items() if each}
+        if means:
+            path, frames = f'["{name}"]', list(means)
+            world[name] = means[frames[-1]]
+            world.keyframe_insert(path, frame=frames[0])
+            (curve,) = (one for one in f_curves(world) if one.data_path == path)
+            add_keys(curve, frames, list(means.values()))
     hold_keys(world)
-
-
-def _key(world: bpy.types.World, curve: str, frame: int, values: list[float]) -> None:
-    world[curve] = float(np.mean(values))
-    world.keyframe_insert(f'["{curve}"]', frame=frame)
 
 
 # ------------------------------------------------------------------------------------------------------------- images
