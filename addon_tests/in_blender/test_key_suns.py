@@ -47,6 +47,7 @@ from xihenet.camera import Intrinsics
 from xihenet.light.key_light import rest_of, sh_of_key_light, sure_part
 from xihenet.light.reflections import N_DIRECTIONS
 from xihenet.panorama import solid_angles
+from xihenet.phone import session
 from xihenet.records import KeyLight, ObjectLight, Reflections, RgbdFrame
 from xihenet.sphere import AnchorLattice
 
@@ -327,3 +328,27 @@ def test_another_run_without_key_lights_takes_them_away(ran):
     assert sun_name("Ball") in [sun[KEY_LIGHT] for sun in key_suns()]
     key_object_light(applied_worlds(scene)["Ball"], "Ball", {1: ObjectLight(FLAT)}, 1.0, has_key_light=False)
     assert sun_name("Ball") not in [sun[KEY_LIGHT] for sun in key_suns()]
+
+
+@pytest.mark.slow
+def test_reflections_of_an_object_with_several_positions_are_filled_once_for_each_estimate(tmp_path, monkeypatch):
+    """For each of 60 positions, and for the object anew in each frame, they took 0.25 s and 100 kB a frame."""
+    scene = empty_scene()
+    box(scene, "Room", (0, 0, 1.25), (6, 4, 2.5), material("Walls", (0.6, 0.5, 0.4)), inward=True)
+    box(scene, "Lamp", (0.8, 0.5, 2.3), (0.2, 0.2, 0.05), material("Lamp", (1, 1, 1), 60.0))
+    shelf = box(scene, "Shelf", (0, 1, 1), (2.5, 0.2, 0.2), collection=virtual_collection(scene, create=True))
+    phone(scene, (-0.5, -1.5, 1.2), (0, 1, 1.0))
+    scene.frame_end = 3
+    settings = SmallProbes(size=(32, 24), samples=2, exposure=1.0, preset="draft", light="sh+key+reflections")
+    outputs, plan = RunOutputs(tmp_path, "room"), plan_previs(scene, settings)
+    assert len(plan.probes_of(shelf.name)) == 3
+    survey = run_blocking(survey_run(scene, plan, outputs))
+    run = run_blocking(prepare_run(scene, plan, survey, outputs, settings, load_estimators(settings)))
+    filled, fill = [], session.fill_reflections
+    monkeypatch.setattr(session, "fill_reflections", lambda *given: filled.append(1) or fill(*given))
+    chain = run_blocking(run_chain(run))
+    assert [sum(probe.fired for probe in entry.probes) for entry in chain.frames] == [3, 0, 0]
+    assert len(filled) == 1
+    lights = [chain.lights[frame][settings.estimator][shelf.name] for frame in plan.frames]
+    assert len({id(light.reflections.radiance) for light in lights}) == 1
+    assert all(at.reflections is light.reflections for light in lights for _, at in light.at)

@@ -386,7 +386,8 @@ def _lights_in_use(run: PreparedRun, frame: int, session: PhoneSession, truth: T
             other = None if method == chosen else method
             light = session.object_light(list(places), time_s, other)
             if len(places) > 1:
-                each = {name: session.object_light([name], time_s, other) for name in places}
+                # What they reflect is the object's.
+                each = {name: session.object_light([name], time_s, other, is_reflected=False) for name in places}
                 light = with_positions(light, places, each)
             lights[method][item.name] = light
         lights["ambient"][item.name] = ObjectLight(ambient_sh)

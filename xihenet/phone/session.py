@@ -117,14 +117,17 @@ class PhoneSession:
         """
         return self._light_at(name, time_s, other).sh
 
-    def object_light(self, names: Sequence[str], time_s: float, other: str | None = None) -> ObjectLight:
+    def object_light(
+        self, names: Sequence[str], time_s: float, other: str | None = None, *, is_reflected: bool = True
+    ) -> ObjectLight:
         """The light in use of an object, of which `names` are the positions: their mean, and its key light.
 
         `other` as of `light`; the ambient light has no key light. Reflections, where the session has them, are those at
-        the first of the positions; they are carried, and of a late estimate they come at once.
+        the first of the positions; they are carried, and of a late estimate they come at once. Without `is_reflected`
+        they are left out, for the light at single positions of an object: they are filled for one light at a time.
         """
         light = mean_light([self._light_at(name, time_s, other) for name in names])
-        return self._with_reflections(light, names, time_s, other)
+        return self._with_reflections(light, names, time_s, other) if is_reflected else light
 
     def _light_at(self, name: str, time_s: float, other: str | None) -> ObjectLight:
         if not self.is_carried:
