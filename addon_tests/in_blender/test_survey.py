@@ -11,6 +11,7 @@ import pytest
 from previs_runs import IPAD, LOOKS_AWAY, SMALL, handler_in, walk
 from tiny_scenes import add, add_lamp, key, light_strength, node_of, phone, room_with_a_virtual_sphere
 
+from xihe_blender.apply.keys import f_curves
 from xihe_blender.capture.scanner import metered_frames
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json
@@ -171,3 +172,17 @@ def test_the_survey_leaves_nothing_behind_also_after_an_error():
     with pytest.raises(UserError, match="'Light' has nan"):
         surveyed(scene)
     assert {item.name for kind in ("scenes", "cameras", "objects") for item in getattr(bpy.data, kind)} == before
+
+
+def test_what_is_known_of_materials_is_kept_once_for_frames_in_which_it_is_the_same():
+    """Of 3,000 materials it takes 0.4 MB, and a path may have 2,000 frames."""
+    scene = room_with_a_virtual_sphere(4)
+    tree = scene.objects["Room"].active_material.node_tree
+    mirror = tree.nodes.new("ShaderNodeBsdfGlossy")
+    tree.links.new(mirror.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
+    key(mirror.inputs["Roughness"], "default_value", {2: 0.25, 3: 0.75})
+    for curve in f_curves(tree):
+        for point in curve.keyframe_points:
+            point.interpolation = "CONSTANT"
+    first, second, third, fourth = (one.roughness for one in surveyed(scene).frames.values())
+    assert first is second and third is fourth and second != third
