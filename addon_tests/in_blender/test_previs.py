@@ -432,3 +432,11 @@ def test_how_far_a_run_is_is_said_without_another_look_at_all_of_its_frames(tmp_
     done = [run.progress(stage, k / 10, "at work").done for stage in ("capture", "methods") for k in range(10)]
     assert done == sorted(done) and len(set(done)) == len(done)
     assert sorted(looked) == list(plan.frames)
+
+
+def test_the_chain_can_be_stopped_at_each_of_its_frames_and_says_where_it_is(finished, tmp_path):
+    outputs = RunOutputs(shutil.copytree(finished.outputs.folder, tmp_path / "out"), finished.outputs.scene)
+    outputs.results.unlink()
+    said = [progress for progress in previs(walk(), outputs.folder, SMALL) if "estimating" in progress.doing]
+    assert [one.doing for one in said] == [f"estimating the light from frame {k}" for k in range(1, N_FRAMES + 1)]
+    assert len({one.done for one in said}) == 1

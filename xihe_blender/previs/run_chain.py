@@ -75,7 +75,10 @@ def run_chain(run: PreparedRun, *, keeps_session: bool = False) -> Job[ChainResu
     seed, others = run.settings.seed, run.estimators[1:]
     session = PhoneSession(run.plan.probes, chain, run.estimator, link, seed=seed, others=others)
     truth, result = TrueLight(run, session.controller), ChainResult(phone)
+    rendered = "reference light" if run.has_truth else "capture"
     for frame in run.plan.frames:
+        # Of 2,000 frames with 60 positions it takes minutes.
+        yield run.progress(rendered, 1, f"estimating the light from frame {frame}")
         start = time.perf_counter()
         if frame in run.needs.captured:
             entry = _take_in(run, frame, phone, session, truth, keeps_session=keeps_session)
