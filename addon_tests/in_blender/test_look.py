@@ -151,9 +151,9 @@ def test_a_turned_camera_that_is_not_turned_sees_what_the_phone_sees(scene):
 
 
 def test_a_turned_camera_has_the_lens_that_the_path_has_there(scene):
-    cameras = [phone(scene, (0, -1, 1), (0, 0, 0.85), name) for name in ("First", "Hidden", "Last")]
+    cameras = [phone(scene, (0, -1, 1), (0, 0, 0.85), name) for name in ("First", "Hidden", "Last", "Never")]
     cameras[1].hide_render = True
-    for camera, lens, frame in zip(cameras, (20, 30, 40), (2, 3, 4), strict=True):
+    for camera, lens, frame in zip(cameras, (20, 30, 40, 50), (2, 3, 4, 4), strict=True):
         camera.data.lens = lens
         scene.timeline_markers.new("", frame=frame).camera = camera
     with open_scanner(scene, RenderSettings((32, 24), samples=1)) as scanner:

@@ -27,13 +27,14 @@ def turned_camera(scanner: CyclesScanner) -> Iterator[Callable[[int, ArrayF64], 
     """
     scene, metres = scanner.scene, metres_per_unit(scanner.scene)
     bound = [marker for marker in scene.timeline_markers if marker.camera is not None]
-    switches = {marker.frame: marker.camera for marker in bound if not marker.camera.hide_render}
+    # As Blender does it: of two at one frame the first one counts.
+    switches = {marker.frame: marker.camera for marker in reversed(bound) if not marker.camera.hide_render}
     own = scene.camera
     # In no collection: those are the user's, and Cycles needs none.
     turned = bpy.data.objects.new(NAME, own.data)
 
     def capture(frame: int, world_from_camera: ArrayF64) -> RgbdFrame:
-        # As Blender does it: the first one is also that of the frames before it.
+        # The first one is also that of the frames before it.
         reached = max((at for at in switches if at <= frame), default=min(switches, default=None))
         turned.data = own.data if reached is None else switches[reached].data
         pose = world_from_camera.copy()
