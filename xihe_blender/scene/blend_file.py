@@ -30,7 +30,7 @@ ROOM = "xihe_room"
 
 
 def open_blend(path: Path) -> bpy.types.Scene:
-    """The active scene of the .blend at `path`, and the room where it was saved in `Xihe Lit`.
+    """The active scene of the .blend at `path`; its room, where it was saved in `Xihe Lit`.
 
     Scripts in the file are not run. UserError if it cannot be opened.
     """
