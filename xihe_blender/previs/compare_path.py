@@ -46,7 +46,7 @@ LIT_BY = "lit_by"
 """Beside a comparison that is kept: the lights that it is of."""
 
 SAME_LIGHT = 1e-4
-"""Coefficients that differ by no more are the same: two computers add up in another order, a hundredth of that."""
+"""Coefficients that differ by no more are of one light: two computers differ by less than a hundredth of it."""
 
 MOST_SEEN = 12
 """Captures in which surfaces are looked for, evenly spread: more show no more of a table."""
