@@ -17,7 +17,7 @@ def work_with(n_objects):
         settings=SimpleNamespace(has_key_light=True),
         methods=("lattice", "ambient", "truth"),
     )
-    return PreparedRun.work.fget(run)
+    return PreparedRun.work.func(run)
 
 
 def test_a_model_of_many_parts_is_foreseen_to_be_compared_for_longer():
