@@ -147,6 +147,16 @@ def test_a_page_that_no_browser_would_open_is_refused_before_a_frame_is_read(don
         module.viewed_frames(results, outputs)
 
 
+def test_pictures_that_are_the_same_count_once_for_what_a_browser_opens(done, tmp_path, monkeypatch):
+    """The page has each of them once; a phone that stands still has thousands."""
+    folder = shutil.copytree(done[0], tmp_path / "run")
+    first, *others = sorted(folder.joinpath("pictures").glob("captured_*.png"))
+    for picture in [*others, *folder.joinpath("pictures").glob("ground_truth_*.png")]:
+        shutil.copyfile(first, picture)
+    monkeypatch.setattr(module, "MOST_PICTURES", first.stat().st_size)
+    assert others and module.viewed_frames(read_results(folder), RunOutputs(folder))
+
+
 def test_an_object_without_a_material_is_the_grey_that_cycles_has_for_it():
     scene = walk()
     ball = bpy.data.objects["Ball"]
