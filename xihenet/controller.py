@@ -261,18 +261,18 @@ class XiheController:
         if decision.fire:
             with clock.stage("merge"):
                 is_followed = self._follow(position, sampled)
-                after = position.buffers.with_frame(sampled)
-                persistent = self._followed(after.persistent, after.temporary)
-                is_followed |= (persistent.srgb != after.persistent.srgb).any(axis=1)
-                look.followed, look.n_followed = replace(after, persistent=persistent), int(is_followed.sum())
-                look.reflected = self._followed_finely(position.reflected, after.persistent, persistent)
+                buffers = position.buffers.with_frame(sampled)
+                persistent = self._followed(buffers.persistent, buffers.temporary)
+                is_followed |= (persistent.srgb != buffers.persistent.srgb).any(axis=1)
+                look.followed, look.n_followed = replace(buffers, persistent=persistent), int(is_followed.sum())
+                look.reflected = self._followed_finely(position.reflected, buffers.persistent, persistent)
             with clock.stage("encode"):
                 look.payload = encode_cloud(look.followed.temporary, settings.codec)
             look.context = EstimateContext(frame, points, position.position_m, truth_sh, self.reference_exposure)
             # Where only more came into view, older views of a surface are as true as newer ones.
             is_changed = decision.reason != "coverage" or look.n_followed > 0
             look.fired = look.followed.fired(is_changed=is_changed)
-        position.buffers, position.decision = replace(buffers, temporary=look.followed.temporary), decision
+        position.buffers, position.decision = buffers, decision
         return look
 
     def _ask(self, looks: Sequence[_Look]) -> None:
