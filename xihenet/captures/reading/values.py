@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from xihenet.records import ArrayF64
+from xihenet.records import POSE_TOLERANCE, ArrayF64
 
 FARTHEST_M = 1e6  # From the origin of a recording; what is given in millimetres is still nearer
 LONG_STEP_S = 5.0  # From one picture to the next: thirty a second in milliseconds are 33
-SKEWED = 0.01  # Ten times what a pose that is written with four digits may be off from a rotation
+SKEWED = 10 * POSE_TOLERANCE  # Poses are made of others, and rounded again
 SHORTEST, LONGEST = 1e-6, 1e6  # Of a quaternion that still says a direction
 
 
