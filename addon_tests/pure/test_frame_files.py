@@ -118,11 +118,11 @@ def test_of_parts_with_channels_of_one_name_the_first_counts(tmp_path, camera, c
     import OpenEXR
 
     parts = []
-    for name, factor in (("beauty", 1), ("diffuse", 5)):
-        channels = dict(zip("RGB", np.moveaxis(RADIANCE * np.float32(factor), -1, 0), strict=True)) | {
-            "Z": PLANE_DEPTH_M
-        }
-        header = {"compression": getattr(OpenEXR, compression)}
+    for name, step in (("beauty", 1), ("diffuse", 2)):
+        colour = dict(zip("RGB", np.moveaxis(step * RADIANCE[::step, ::step], -1, 0), strict=True))
+        channels = colour | {"Z": PLANE_DEPTH_M[::step, ::step]}
+        whole = np.array([0, 0], np.int32), np.array([WIDTH - 1, HEIGHT - 1], np.int32)
+        header = {"compression": getattr(OpenEXR, compression), "displayWindow": whole}
         parts.append(OpenEXR.Part(header, {c: np.ascontiguousarray(v) for c, v in channels.items()}, name))
     with OpenEXR.File(parts) as file:
         file.write(str(path := tmp_path / "frame.exr"))
