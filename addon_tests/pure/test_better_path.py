@@ -1,6 +1,7 @@
 """Where to look for a second, in box rooms whose walls are known, and what a look is."""
 
 import itertools
+import weakref
 
 import numpy as np
 import pytest
@@ -51,11 +52,15 @@ def box_frame(pose, room=None, frame=1):
     return frame_of(depth, CAMERA, pose, frame=frame)
 
 
+def known_by(clouds):
+    return KnownRoom.of_frames(clouds, sum(len(cloud.points_m) for cloud in clouds))
+
+
 def advice(poses, room=None, thing=OBJECT):
     """The best look after frames at `poses` in the box."""
     frames = [box_frame(pose, room, number) for number, pose in enumerate(poses, start=1)]
     clouds = [unproject_frame(frame) for frame in frames]
-    known = KnownRoom.of_frames(clouds)
+    known = known_by(clouds)
     cloud = UnitSphereCloud.empty(LATTICE.n)
     for points in clouds:
         cloud = merge(cloud, sample_unit_sphere(points, thing, LATTICE))
@@ -68,6 +73,19 @@ ALL_AROUND = [facing(yaw, pitch) for yaw in (0, 90, 180, -90) for pitch in (-45,
     facing(0, 90),
     facing(0, -90),
 ]
+
+
+def test_the_points_of_a_path_are_not_kept_to_know_its_room():
+    alive, most = weakref.WeakSet(), []
+
+    def clouds():
+        for number in range(5):
+            alive.add(cloud := unproject_frame(box_frame(facing(72 * number))))
+            yield cloud
+            most.append(len(alive))
+
+    assert len(KnownRoom.of_frames(clouds(), 5 * 48 * 40).points_m) == 5 * 48 * 40
+    assert max(most) <= 2
 
 
 @pytest.mark.parametrize("missing_deg", [0, 90, 180, -90])
@@ -95,7 +113,7 @@ def test_a_path_that_saw_everything_says_that_nothing_would_help():
 
 def test_a_path_that_saw_nothing_has_an_advice_all_the_same():
     black = frame_of(np.zeros((40, 48)), CAMERA, facing(0))
-    known = KnownRoom.of_frames([unproject_frame(black)])
+    known = known_by([unproject_frame(black)])
     assert known.hull_m(LATTICE) == pytest.approx(LATTICE.directions @ PLACE + FREE_M)
     # Where the phone was the room is free, whatever it saw.
     seen = KnownRoom(np.zeros((1, 3)), known.places_m)
@@ -130,7 +148,7 @@ def test_a_view_that_is_walled_off_by_known_geometry_adds_nothing():
     nothing = np.zeros(LATTICE.n)
     assert shown_by([facing(0)], unseen, nothing, CAMERA, LATTICE).sum() > 50
     # A screen 0.5 m before the phone, as a frame of it shows.
-    screen = KnownRoom.of_frames([unproject_frame(frame_of(np.full((40, 48), 0.5), CAMERA, facing(0)))])
+    screen = known_by([unproject_frame(frame_of(np.full((40, 48), 0.5), CAMERA, facing(0)))])
     walled = screen.nearest_m(PLACE, LATTICE)
     assert shown_by([facing(0)], unseen, walled, CAMERA, LATTICE).sum() < 5
 
@@ -143,9 +161,7 @@ def test_what_is_behind_the_phone_is_not_shown():
 
 def test_in_a_room_that_was_seen_the_guess_of_a_distance_is_the_wall():
     frames = [unproject_frame(box_frame(pose)) for pose in ALL_AROUND]
-    unseen = guess_unseen(
-        UnitSphereCloud.empty(LATTICE.n), np.zeros(3), KnownRoom.of_frames(frames).hull_m(LATTICE), LATTICE
-    )
+    unseen = guess_unseen(UnitSphereCloud.empty(LATTICE.n), np.zeros(3), known_by(frames).hull_m(LATTICE), LATTICE)
     wall_m = (HALF_M / np.maximum(np.abs(LATTICE.directions), 1e-9)).min(axis=1)
     guessed_m = np.linalg.norm(unseen.points_m, axis=1)
     assert np.median(np.abs(guessed_m / wall_m - 1)) < 0.15
@@ -154,7 +170,7 @@ def test_in_a_room_that_was_seen_the_guess_of_a_distance_is_the_wall():
 def test_what_a_look_shows_is_set_in_the_guessed_cloud_and_all_else_stays():
     frame = box_frame(facing(0))
     cloud = sample_unit_sphere(unproject_frame(frame), OBJECT, LATTICE)
-    known = KnownRoom.of_frames([unproject_frame(frame)])
+    known = known_by([unproject_frame(frame)])
     unseen = guess_unseen(cloud, OBJECT, known.hull_m(LATTICE), LATTICE)
     shown = LATTICE.directions[:, 2] > 0.5
     after = unseen.with_shown(shown, OBJECT)
@@ -262,4 +278,4 @@ def test_senseless_looks_are_refused(senseless):
 
 def test_without_a_look_or_a_position_there_is_nothing_to_choose():
     with pytest.raises(ValueError, match="expected looks and positions"):
-        choose_look([], [], KnownRoom.of_frames([]), CAMERA, LATTICE, SETTINGS)
+        choose_look([], [], known_by([]), CAMERA, LATTICE, SETTINGS)

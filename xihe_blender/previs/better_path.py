@@ -181,7 +181,8 @@ def find_looks(session: KeptSession, objects: Targets, settings: LookSettings) -
     """A job, a step per object: the best look for each, tried on the kept frames; nothing is rendered."""
     yield Progress(0, 1 + len(objects), "looking at what the path shows")
     lattice, (estimator, *_) = AnchorLattice(session.settings.n_anchors), load_estimators(session.settings)
-    room = KnownRoom.of_frames(one.unprojected(session.exposure) for one in session.frames)
+    n_points = sum(one.seen.plane_depth_m.size for one in session.frames)
+    room = KnownRoom.of_frames((one.unprojected(session.exposure) for one in session.frames), n_points)
     hull_m = room.hull_m(lattice)
     path = [(one.seen.frame, one.seen.world_from_camera) for one in session.frames]
     looks, found = looks_of(path, settings), []

@@ -74,13 +74,15 @@ class KnownRoom:
     places_m: ArrayF64
 
     @classmethod
-    def of_frames(cls, clouds: Iterable[PointCloud]) -> KnownRoom:
-        """Of unprojected frames, each with its `grid`; of their points an even share is taken, 100,000 in all."""
-        kept = list(clouds)
-        step = max(1, math.ceil(sum(len(cloud.points_m) for cloud in kept) / MOST_POINTS))
-        points = [part for cloud in kept for part in _points_of(cloud, step)]
-        places = [cloud.grid.camera_m for cloud in kept if cloud.grid is not None]
-        return cls(np.concatenate([np.zeros((0, 3)), *points]), np.array(places).reshape(-1, 3))
+    def of_frames(cls, clouds: Iterable[PointCloud], n_points: int) -> KnownRoom:
+        """Of unprojected frames, each with its `grid`; of their points, `n_points` in all, an even share is taken:
+        100,000 or less."""
+        step = max(1, math.ceil(n_points / MOST_POINTS))
+        points, places = [np.zeros((0, 3))], [np.zeros((0, 3))]
+        for cloud in clouds:  # Not kept: those of a long path take gigabytes.
+            points += _points_of(cloud, step)
+            places += [] if cloud.grid is None else [cloud.grid.camera_m[None]]
+        return cls(np.concatenate(points), np.concatenate(places))
 
     def nearest_m(self, place_m: ArrayF64, lattice: AnchorLattice) -> ArrayF64:
         """(N,) distance of the nearest known point in the direction of each anchor from `place_m`; 0 where none is."""
