@@ -324,18 +324,13 @@ def test_panoramas_of_the_reference_light_that_are_gone_or_damaged_are_made_agai
 
 def test_comparisons_of_other_lights_than_an_edge_service_gives_after_a_stop_are_made_again(finished, copied):
     copied.results.unlink()
-    # Another computer rounds differently.
-    for frame, change in ((1, 0.01), (5, 2e-5)):
+    for frame, change in ((1, 0.01), (5, 2e-5)):  # Another computer rounds differently.
         kept = json.loads(copied.compared(frame).read_text())
-        kept["comparison"]["lattice"]["rmse"] = 9.0
+        kept["comparison"]["lattice"]["rmse"] += 9.0 * (frame == 1)
         kept[LIT_BY]["lattice Ball"][0][0] += change
         copied.compared(frame).write_text(json.dumps(kept))
     again, renders = run_again(copied)
-    rmse, before = (
-        [frame["comparison"]["lattice"]["rmse"] for frame in of["frames"] if "comparison" in frame]
-        for of in (again, finished.results)
-    )
-    assert rmse[0] == before[0] and rmse[-1] == 9.0
+    assert without_times(again) == without_times(finished.results)
     assert renders == {"Xihe Ground Truth": 1, "Xihe Lit": 2}
 
 
