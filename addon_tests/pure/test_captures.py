@@ -20,6 +20,7 @@ from addon_tests.pure.recordings import (
     as_plain,
     as_plain_files,
     as_polycam,
+    as_polycam_uncorrected,
     as_record3d,
     as_stray_of_one_camera,
     as_tum,
@@ -332,6 +333,12 @@ def test_corrected_cameras_of_polycam_have_the_size_of_the_others_where_they_say
     for read, made in zip(open_capture(tmp_path), frames, strict=True):
         assert vars(read.intrinsics) == pytest.approx(vars(made.intrinsics))
         np.testing.assert_allclose(read.world_from_camera, made.world_from_camera, atol=1e-6)
+
+
+def test_cameras_of_polycam_count_where_the_folder_of_corrected_ones_is_empty(tmp_path):
+    (as_polycam_uncorrected(tmp_path, walk(SMALL, 2)) / "keyframes" / "corrected_cameras").mkdir()
+    capture = open_capture(tmp_path)
+    assert len(capture.frames) == 2 and not any("corrected" in note for note in capture.notes)
 
 
 def test_a_name_without_an_ending_is_that_of_a_png_as_of_instant_ngp(tmp_path):

@@ -34,8 +34,9 @@ def is_in(folder: Path) -> bool:
 def read(folder: Path, up: str | None) -> Capture:
     """As of `xihenet.captures.open_capture`."""
     up, keyframes = up or "y", folder / "keyframes"
-    which = next(one for one in SETS if (keyframes / f"{one}cameras").is_dir())
-    paths = list((keyframes / f"{which}cameras").glob("[!.]*.json"))
+    cameras = {one: list((keyframes / f"{one}cameras").glob("[!.]*.json")) for one in SETS}
+    which = next((one for one in SETS if cameras[one]), "")
+    paths = cameras[which]
     are_times = all(path.stem.isdecimal() and len(path.stem) <= LONGEST_NAME for path in paths)
     paths.sort(key=lambda path: (int(path.stem) if are_times else 0, path.stem))
     frames: list[CapturedFrame] = []
