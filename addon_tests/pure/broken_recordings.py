@@ -319,6 +319,7 @@ def odometry(*lines):
     return put(ODOMETRY, HEAD + "\n".join(lines) + "\n")
 
 
+OLDEST = "x, y, z, qx, qy, qz, qw"
 POSED = "0, 0, 0, 0, 0, 0, 1"
 NPY_THAT_SAYS = b"\x93NUMPY\x01\x00\x76\x00" + (
     b"{'descr': '<u2', 'fortran_order': False, 'shape': (1000000000, 1000000000), }".ljust(117) + b"\n"
@@ -346,6 +347,11 @@ STRAY = {
         "frame 0: pose: expected a quaternion of length 1",
     ),
     "a short line": (odometry("0, 0, 0, 0"), "line 2: expected timestamp"),
+    "a short line, of the oldest": (
+        put(ODOMETRY, f"{OLDEST}\n0\n"),
+        "expected x, y, z, qx, qy, qz, qw, got ['0']: copy",
+    ),
+    "a word, of the oldest": (put(ODOMETRY, f"{OLDEST}\n{POSED}\nsoon{POSED[1:]}\n"), "line 3: expected 7 numbers"),
     "a frame below 0": (odometry(f"0, -1, {POSED}"), "a number of a frame"),
     "half a frame": (odometry(f"0, 0.5, {POSED}"), "a number of a frame"),
     "a frame that comes twice": (odometry(f"0, 0, {POSED}", f"1, 0, {POSED}"), "some come twice"),

@@ -84,25 +84,25 @@ def _odometry(path: Path) -> tuple[list[ArrayF64], tuple[str, ...]]:
     names = [name.strip() for name in found[0]] if found else []
     first = 1
     notes: tuple[str, ...] = ()
+    named_in_file: tuple[str, ...] = COLUMNS
+    fix = "copy the file again, or delete the line"
     if tuple(names) == OLDEST:
-        found = [list(COLUMNS), *([str(i / FPS), str(i), *line] for i, line in enumerate(found[1:]))]
-        names, notes = found[0], (f"Times are not known: {FPS:g} frames a second are assumed.",)
-    if names[: len(COLUMNS)] == list(COLUMNS):
+        named_in_file, fix = OLDEST, "copy the file again"  # Without a line those after it would be of other pictures.
+        notes = (f"Times are not known: {FPS:g} frames a second are assumed.",)
+    if names[: len(named_in_file)] == list(named_in_file):
         found, first = found[1:], 2
     has_intrinsics = set(INTRINSICS) <= set(names)
-    columns = [*range(len(COLUMNS)), *(names.index(name) for name in INTRINSICS if has_intrinsics)]
-    rows = []
+    columns = [*range(len(named_in_file)), *(names.index(name) for name in INTRINSICS if has_intrinsics)]
+    rows: list[ArrayF64] = []
     for number, line in enumerate(found, start=first):
         if len(line) <= max(columns):
-            raise ValueError(
-                f"{path}, line {number}: expected {', '.join(COLUMNS)}, got {line!r:.80}: "
-                "copy the file again, or delete the line"
-            )
-        rows.append(numbers([line[column] for column in columns], len(columns), f"{path}, line {number}"))
+            raise ValueError(f"{path}, line {number}: expected {', '.join(named_in_file)}, got {line!r:.80}: {fix}")
+        row = numbers([line[column] for column in columns], len(columns), f"{path}, line {number}")
+        rows.append(np.array([len(rows) / FPS, len(rows), *row]) if named_in_file == OLDEST else row)
         if not (rows[-1][1].is_integer() and 0 <= rows[-1][1] < MOST_FRAMES):
             raise ValueError(f"{path}, line {number}: expected a number of a frame, got {rows[-1][1]:g}")
     if not rows:
-        raise ValueError(f"{path}: expected a line for each frame, with {', '.join(COLUMNS)}")
+        raise ValueError(f"{path}: expected a line for each frame, with {', '.join(named_in_file)}")
     if len({row[1] for row in rows}) < len(rows):
         raise ValueError(f"{path}: expected each frame once, and some come twice")
     return sorted(rows, key=lambda row: float(row[1])), notes
