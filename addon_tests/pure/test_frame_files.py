@@ -168,12 +168,14 @@ AP0 = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
 
 @NEEDS_OPENEXR
 @pytest.mark.parametrize("space", [*exr.CHROMATICITIES, "AP0"])
-def test_an_exr_that_gives_chromaticities_in_place_of_a_space_is_read_by_these(tmp_path, camera, space):
+@pytest.mark.parametrize("said", [{}, {"colorInteropID": "unknown"}], ids=["no space", "an unknown one"])
+def test_an_exr_that_gives_chromaticities_in_place_of_a_space_is_read_by_these(tmp_path, camera, space, said):
     import OpenEXR
 
     colour = (0.7, 0.3, 0.09)
     channels = {name: np.full_like(PLANE_DEPTH_M, value) for name, value in zip("RGB", colour, strict=True)}
-    with OpenEXR.File({"chromaticities": exr.CHROMATICITIES.get(space, AP0)}, channels | {"Z": PLANE_DEPTH_M}) as file:
+    said = {"chromaticities": exr.CHROMATICITIES.get(space, AP0), **said}
+    with OpenEXR.File(said, channels | {"Z": PLANE_DEPTH_M}) as file:
         file.write(str(path := tmp_path / "frame.exr"))
     if space == "AP0":
         with pytest.raises(ValueError, match=r"of primaries at 0\.7347, .* save it in linear Rec\.709"):

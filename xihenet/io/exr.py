@@ -113,12 +113,13 @@ def exr_attributes(path: Path) -> dict[str, Attribute]:
 def exr_colour_space(path: Path) -> str:
     """The Color Interop ID of the first header, as Blender writes from 5.0 on, such as "lin_ap1_scene"; "" without.
 
-    Other programs, and files of the ACES standard, give chromaticities instead: then it is that of these, or says that
-    it is another one's. Raises as `read_exr`.
+    Other programs, and files of the ACES standard, give chromaticities instead, or beside "unknown": then it is that of
+    these, or says that it is another one's. Raises as `read_exr`.
     """
     header = _of_header(path, lambda content: _header_at(content, 8)[0])
-    if "colorInteropID" in header or "chromaticities" not in header:
-        return header.get("colorInteropID", ("", b""))[1].decode(errors="replace")
+    space = header.get("colorInteropID", ("", b""))[1].decode(errors="replace")
+    if space not in ("", "unknown") or "chromaticities" not in header:
+        return space
     with _errors_of(path):
         found = struct.unpack("<8f", header["chromaticities"][1])
     told = (space for space, known in CHROMATICITIES.items() if np.allclose(found, known, rtol=0, atol=SAME_PRIMARIES))
