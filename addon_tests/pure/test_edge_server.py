@@ -337,6 +337,13 @@ def test_other_wrong_requests(server):
     assert server.ask("POST", "/api/v3/sessions", Xihe_Token="")[0] == 400
 
 
+def test_a_cloud_that_is_to_be_shared_from_nowhere_is_not_kept(server):
+    session, token = server.opened(n_anchors=N)
+    sent = encode_cloud(cloud_of(1), "float32_stripped")
+    assert server.light(session, token, sent, query="?share=yes")[0] == 400
+    assert server.light(session, token, b"")[1]["coverage"] == 0
+
+
 def test_health_metrics_page_and_openapi_are_there(server):
     from xihenet.edge.server import ROUTES
 

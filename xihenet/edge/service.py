@@ -202,6 +202,8 @@ class EdgeService:
                 # What does not fit its session, which only another hand can have put there, is replaced.
                 known = before if before is not None and _fits(before, session) else None
                 after = self._merged(known, sent, wishes)
+                if wishes.is_shared and after.position_m is None:
+                    raise Refused(400, "sharing needs to know where the position is: send its header")
                 with self.kept():
                     if self.store.put_position(session.id, name, after, before):
                         return after
@@ -217,8 +219,6 @@ class EdgeService:
         return SeenPosition(cloud, before.exposure, position_m, key, n_frames)
 
     def _shared(self, session: Session, name: str, seen: SeenPosition) -> UnitSphereCloud:
-        if seen.position_m is None:
-            raise Refused(400, "sharing needs to know where the position is: send its header")
         known = self.store.positions(session.id)
         others = [other for label, other in known.items() if label != name and _fits(other, session)]
         return with_others(seen, others, AnchorLattice(session.n_anchors))
