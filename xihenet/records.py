@@ -98,6 +98,15 @@ class Intrinsics:
             )
 
 
+def check_last_row(pose: ArrayF64, name: str) -> None:
+    """ValueError unless that of a pose (4, 4) is 0 0 0 1."""
+    usual = (0, 0, 0, 1)
+    if np.abs(pose[3] - usual).max() > POSE_TOLERANCE:
+        is_transposed = np.abs(pose[:, 3] - usual).max() <= POSE_TOLERANCE
+        fix = "transpose it" if is_transposed else "write the camera's axes and place in the first three rows"
+        raise ValueError(f"{name}: expected the last row 0 0 0 1, got {pose[3].tolist()}: {fix}")
+
+
 @dataclass(frozen=True, eq=False)
 class RgbdFrame:
     """What the phone delivers at one moment.
@@ -138,11 +147,7 @@ class RgbdFrame:
         _keep(self, np.float64, world_from_camera=(4, 4))
         if not np.isfinite(self.world_from_camera).all():
             raise ValueError("RgbdFrame.world_from_camera: expected finite numbers, got NaN or infinity")
-        last_row = self.world_from_camera[3]
-        if np.abs(last_row - [0, 0, 0, 1]).max() > POSE_TOLERANCE:
-            raise ValueError(
-                f"RgbdFrame.world_from_camera: expected the last row 0 0 0 1, got {last_row.tolist()}: transpose it?"
-            )
+        check_last_row(self.world_from_camera, "RgbdFrame.world_from_camera")
         lengths = np.linalg.norm(self.world_from_camera[:3, :3], axis=0)
         if not np.abs(lengths - 1).max() <= POSE_TOLERANCE:
             raise ValueError(

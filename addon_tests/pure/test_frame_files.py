@@ -570,6 +570,7 @@ def with_entry(row, column, value):
         (posed(with_entry(0, 1, 0.002)), "an error of 0.002: write it with four digits or more"),
         (posed(with_entry(0, 3, np.nan)), "world_from_camera: expected finite numbers"),
         (posed(with_entry(3, 0, 1.0)), "transpose it"),
+        (posed(np.zeros((4, 4))), r"got \[0.0, 0.0, 0.0, 0.0\]: write the camera's axes and place in the first three"),
         ({"world_from_camera": [[1, 0], [0, 1]]}, "four rows of four numbers"),
         ({"world_from_camera": [[1, 0, 0, 0], [0]]}, "four rows of four numbers"),
         ({"world_from_camera": "identity"}, "four rows of four numbers"),

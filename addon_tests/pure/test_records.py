@@ -56,6 +56,7 @@ def test_arrays_of_other_kinds_become_plain_ones():
         ({"world_from_camera": np.eye(3)}, "world_from_camera"),
         ({"world_from_camera": np.full((4, 4), np.nan)}, "finite"),
         ({"world_from_camera": np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [2, 1, 3, 1]])}, "transpose it"),
+        ({"world_from_camera": np.diag([1.0, 1, 1, 2])}, "expected the last row 0 0 0 1, .*: write the camera's axes"),
         ({"world_from_camera": np.diag([0.01, 0.01, 0.01, 1])}, "world_from_camera: .*got lengths of 0.01, 0.01, 0.01"),
         ({"world_from_camera": np.diag([1.0, 1, 1.002, 1])}, "world_from_camera: .*of length 1"),
         ({"world_from_camera": np.diag([0, 0, 0, 1.0])}, "world_from_camera: .*of length 1"),

@@ -28,7 +28,7 @@ from xihenet.io.image_files import read_colour, read_plane_depth
 from xihenet.io.json_files import named, number_in, read_json, side_in
 from xihenet.io.picture_size import MOST_POINTS, TooLarge, check_size, picked_pixels, same_field
 from xihenet.phone.metering import metered_exposure
-from xihenet.records import POSE_TOLERANCE, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame
+from xihenet.records import POSE_TOLERANCE, ArrayF32, ArrayF64, ArrayU8, Intrinsics, RgbdFrame, check_last_row
 
 PLANE_DEPTH_CHANNELS = ("Depth.Z", "Depth.V", "Z")
 MOST_VALUES_BY_PACKAGE = 64_000_000  # Of all channels, which the package unpacks together: 16 megapixels of four
@@ -194,8 +194,7 @@ def _pose(rows: Any) -> ArrayF64:
         raise ValueError(f"world_from_camera: expected four rows of four numbers, got an array of shape {pose.shape}")
     if not np.isfinite(pose).all():
         raise ValueError("world_from_camera: expected finite numbers, got NaN or infinity")
-    if np.abs(pose[3] - [0, 0, 0, 1]).max() > POSE_TOLERANCE:
-        raise ValueError(f"world_from_camera: expected the last row 0 0 0 1, got {pose[3].tolist()}: transpose it?")
+    check_last_row(pose, "world_from_camera")
     axes = pose[:3, :3]
     skew = float(np.abs(axes.T @ axes - np.eye(3)).max())
     determinant = float(np.linalg.det(axes))
