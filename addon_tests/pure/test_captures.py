@@ -348,6 +348,18 @@ def test_a_name_without_an_ending_is_that_of_a_png_as_of_instant_ngp(tmp_path):
     assert [frame.picture.name for frame in capture.frames] == ["1.png", "2.png"]
 
 
+def test_depth_of_nerfstudio_may_be_npy_and_exr_is_told_to_be_saved_as_png(tmp_path):
+    frames = walk(SMALL, 2)
+    path = as_nerfstudio(tmp_path, frames) / "transforms.json"
+    path.write_text(path.read_text().replace("depth/1.png", "depth/1.npy").replace("depth/2.png", "depth/2.exr"))
+    np.save(tmp_path / "depth" / "1.npy", frames[0].plane_depth_m * 1000)
+    (tmp_path / "depth" / "2.exr").touch()
+    capture = open_capture(tmp_path)
+    np.testing.assert_allclose(capture.frames[0].read().plane_depth_m, frames[0].plane_depth_m, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"2\.exr: plane depth alone is not read from OpenEXR: save it in whole"):
+        capture.frames[1].read()
+
+
 def test_of_nerfstudio_it_is_said_that_z_is_taken_to_be_up_unless_up_is_given(tmp_path):
     as_nerfstudio(tmp_path, walk(SMALL, 1))
     assert [any("give --up y" in note for note in open_capture(tmp_path, up).notes) for up in (None, "y")] == [1, 0]

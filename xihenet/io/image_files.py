@@ -38,6 +38,10 @@ def read_plane_depth(path: Path, depth_scale: float) -> tuple[ArrayF32, tuple[in
 
     0 where there is none; thinned where there are more than MOST_POINTS. Raises what `_loading` says.
     """
+    if path.suffix.lower() == ".exr" and path.is_file():
+        raise ValueError(
+            f"{path}: plane depth alone is not read from OpenEXR: save it in whole millimetres, in a PNG of 16 bits"
+        )
     with _loading(path) as image:
         if not image.mode.startswith("I"):
             raise ValueError(

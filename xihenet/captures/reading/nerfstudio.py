@@ -1,7 +1,7 @@
 """Recordings as Nerfstudio has them: transforms.json beside pictures and depth.
 
-Camera to world, the camera looks along -Z with +Y up, the world has +Z up; depth is 16-bit, in millimetres, or in what
-the file says. Polycam and other apps export this form; instant-ngp and NeRFCapture have other names for depth. There
+Camera to world, the camera looks along -Z with +Y up, the world has +Z up; depth is 16-bit or .npy, in millimetres, or
+in what the file says. Polycam and other apps export this form; instant-ngp and NeRFCapture name depth otherwise. There
 are no times: frames are taken to follow each other FPS times a second, by the names of their pictures, as Nerfstudio
 sorts them; COLMAP's converters list them as they were matched. Places were multiplied by `applied_scale`, if there is
 one, and depth was not.

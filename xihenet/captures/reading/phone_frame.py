@@ -64,10 +64,30 @@ def measured(source: Path, plane_depth_m: ArrayF32 | ArrayF64, confidence: Array
 
 
 def read_measured(plane_depth: Path, metres_per_unit: float, confidence: Path | None) -> Measured:
-    """Of two image files; the second may be missing. OSError or ValueError, naming the file, for what is broken."""
+    """Of two image files, depth also as .npy; the second may be missing.
+
+    OSError or ValueError, naming the file, for what is broken.
+    """
+    if plane_depth.suffix.lower() == ".npy":
+        return _npy(plane_depth, metres_per_unit, confidence)
     plane_depth_m, field = read_plane_depth(plane_depth, metres_per_unit)
     levels = read_confidence(confidence, field) if confidence is not None and confidence.is_file() else None
     return Measured(plane_depth, plane_depth_m, field, levels)
+
+
+def _npy(path: Path, metres_per_unit: float, confidence: Path | None) -> Measured:
+    """Nothing is unpickled, and nothing read before its size is judged."""
+    try:
+        with path.open("rb"):
+            stored = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError) as error:
+        raise ValueError(f"{path}: expected distances as .npy, and could not read it ({error})") from None
+    if not isinstance(stored, np.ndarray) or stored.ndim != 2 or stored.dtype.kind not in "uif" or not stored.size:
+        raise ValueError(f"{path}: expected distances in rows and columns, as .npy")
+    height, width = stored.shape
+    check_size(path, height, width)
+    levels = read_confidence(confidence, (width, height)) if confidence is not None and confidence.is_file() else None
+    return measured(path, np.asarray(stored, np.float64) * metres_per_unit, levels)
 
 
 def read_confidence(path: Path, field: tuple[int, int]) -> ArrayU8:
@@ -108,7 +128,7 @@ def picture_frame(
     metres_per_unit: float,
     confidence: Path | None = None,
 ) -> CapturedFrame:
-    """A moment that is two image files, that of plane depth of 16 bits; or three, of which the third may be missing."""
+    """A moment that is two files as of `read_measured`, or three, of which the third may be missing."""
 
     def load() -> RgbdFrame:
         return phone_frame(colour, None, read_measured(plane_depth, metres_per_unit, confidence), camera)

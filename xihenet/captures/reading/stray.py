@@ -16,11 +16,8 @@ import numpy as np
 
 from xihenet.captures.capture import Capture, CapturedFrame
 from xihenet.captures.reading.phone_frame import (
-    Measured,
     left_out,
-    measured,
     phone_frame,
-    read_confidence,
     read_measured,
     without_confidence,
 )
@@ -29,7 +26,6 @@ from xihenet.captures.reading.video import Video
 from xihenet.formats import format_count
 from xihenet.io.frame_files import BLENDER_FROM_UP, FrameCamera, frame_camera
 from xihenet.io.json_files import named
-from xihenet.io.picture_size import check_size
 from xihenet.records import ArrayF64, Intrinsics, RgbdFrame
 
 VIDEO, ODOMETRY, MATRIX = "rgb.mp4", "odometry.csv", "camera_matrix.csv"
@@ -136,24 +132,5 @@ def _confidence_file(folder: Path, number: int) -> Path:
 
 
 def _load(folder: Path, number: int, plane_depth: Path, camera: FrameCamera, video: Video) -> RgbdFrame:
-    confidence = _confidence_file(folder, number)
-    if plane_depth.suffix == ".npy":
-        depth = _npy(plane_depth, confidence)
-    else:
-        depth = read_measured(plane_depth, METRES_PER_UNIT, confidence)
+    depth = read_measured(plane_depth, METRES_PER_UNIT, _confidence_file(folder, number))
     return phone_frame(video.path, video.read(number), depth, camera)
-
-
-def _npy(path: Path, confidence: Path) -> Measured:
-    """Depth of older recordings. Nothing is unpickled, and nothing read before its size is judged."""
-    try:
-        with path.open("rb"):
-            stored = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError) as error:
-        raise ValueError(f"{path}: expected distances as .npy, and could not read it ({error})") from None
-    if not isinstance(stored, np.ndarray) or stored.ndim != 2 or stored.dtype.kind not in "uif" or not stored.size:
-        raise ValueError(f"{path}: expected distances in rows and columns, as .npy")
-    height, width = stored.shape
-    check_size(path, height, width)
-    levels = read_confidence(confidence, (width, height)) if confidence.is_file() else None
-    return measured(path, np.asarray(stored, np.float64) * METRES_PER_UNIT, levels)
