@@ -3,6 +3,7 @@
 import json
 import unicodedata
 import zipfile
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -217,6 +218,12 @@ def test_names_with_the_separators_of_windows_are_found_where_there_are_others(t
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "ä.png").touch()
     assert inside(tmp_path, ".\\images\\ä.png").is_file()
+    for whole in ("C:\\walk\\images\\ä.png", "C:/walk/images/ä.png", "\\\\server\\walk\\images\\ä.png"):
+        assert inside(tmp_path, whole) == tmp_path / "images" / "ä.png"
+    (tmp_path / "ä.png").touch()
+    for other in ("C:\\walk\\ä.png", "C:\\walk\\depth\\ä.png"):
+        with suppress(ValueError):  # On Windows they lie outside.
+            assert not inside(tmp_path, other).exists()
     with pytest.raises(ValueError, match=r"lies outside .*: copy the file there"):
         inside(tmp_path, "..\\images\\ä.png")
 

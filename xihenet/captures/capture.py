@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 from xihenet.io.frame_files import FrameCamera
 from xihenet.records import ArrayF64, RgbdFrame
@@ -102,11 +102,15 @@ def by_numbers(name: str) -> list[str]:
 
 def inside(folder: Path, name: str) -> Path:
     """The file of that name below `folder`, accents in either Unicode form, and with the separators of Windows too;
-    ValueError for one that lies elsewhere, links followed."""
+    of a whole path there the one with its last parts. ValueError for one that lies elsewhere, links followed."""
     path = folder / name
-    if "\\" in name and not path.exists():
+    if ("\\" in name or name[1:3] == ":/") and not path.exists():
+        whole = PureWindowsPath(name)
         name = name.replace("\\", "/")
         path = folder / name
+        if whole.is_absolute():  # Two parts at least: by its name alone depth may be a picture.
+            ends = (folder.joinpath(*whole.parts[i:]) for i in range(1, len(whole.parts) - 1))
+            path = next((end for end in ends if end.exists()), path)
     if not name.isascii() and not path.exists():
         path = folder
         for part in Path(name).parts:
