@@ -24,3 +24,9 @@ def test_training_commands_of_the_docs_are_understood(typed):
 
 def test_the_page_of_the_command_line_has_training_too():
     assert (ROOT / "docs" / "cli.md").read_text(encoding="utf-8") == document()
+
+
+def test_help_has_the_defaults_of_the_page(capsys):
+    with pytest.raises(SystemExit):
+        training_parser().parse_args(["train", "--help"])
+    assert "clouds in a batch; default: 64" in " ".join(capsys.readouterr().out.split())

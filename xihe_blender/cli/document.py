@@ -13,7 +13,8 @@ import contextlib
 import sys
 from collections.abc import Iterator
 
-from xihe_blender.cli.main import COMMANDS, command_parser, default_of
+from xihe_blender.cli.main import COMMANDS, command_parser
+from xihenet.option_help import default_of
 
 TRAINING = "\n## xihe train\n"
 WITHOUT_TRAINING = (

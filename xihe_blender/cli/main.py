@@ -20,6 +20,7 @@ from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR, notes_o
 from xihe_blender.errors import UserError, format_disk_error
 from xihe_blender.io.blender_output import blender_output_aside, leave_blender, open_closed_streams
 from xihenet import __version__
+from xihenet.option_help import DefaultsHelp
 
 COMMANDS = {
     "previs": "preview a phone's estimated lighting beside path-traced ground truth",
@@ -117,27 +118,13 @@ def _train(typed: Sequence[str]) -> int:
     return train(typed)
 
 
-def default_of(action: argparse.Action) -> str:
-    """What an option is if it is not given, "default: 0"; empty where there is nothing to say, or its help says it."""
-    is_said = action.nargs == 0 or action.default in (None, "", [], ()) or "default" in (action.help or "")
-    value = f"{action.default:g}" if isinstance(action.default, float) else action.default
-    return "" if is_said else f"default: {value}"
-
-
-class _Help(argparse.HelpFormatter):
-    """With the defaults, as docs/cli.md has them."""
-
-    def _get_help_string(self, action: argparse.Action) -> str:
-        return "; ".join(filter(None, (action.help, default_of(action)))).replace("%", "%%")
-
-
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, without the usage that hides it."""
 
     command = ""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(**{"formatter_class": _Help} | options)
+        super().__init__(**{"formatter_class": DefaultsHelp} | options)
         for kind, read in ((Path, _path), (float, _number), (int, _whole_number)):
             self.register("type", kind, read)
 

@@ -12,10 +12,11 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from xihenet.estimators.calibration import SHARES_ASKED
 from xihenet.io.whole_files import written_whole
+from xihenet.option_help import DefaultsHelp
 from xihenet.training.calibration import calibrate_elsewhere, calibrate_network
 from xihenet.training.dataset import CacheSettings, Content, build_cache
 from xihenet.training.loop import TrainSettings, check_trainable, train
@@ -31,6 +32,9 @@ STEPS = ("cache", "train", "report", "export")
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong in one line, without the usage that hides it."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"formatter_class": DefaultsHelp} | options)
 
     def error(self, message: str) -> NoReturn:
         raise ValueError(f"{message}; see {self.prog} --help")
