@@ -299,7 +299,10 @@ def sample_farthest(cloud: PointCloud, n: int, rng: np.random.Generator) -> Poin
 
 def checked_position(position_m: ArrayLike) -> ArrayF64:
     """(3,), a read-only copy, which moves with nobody's array; ValueError unless it is three finite numbers."""
-    position = np.array(position_m, np.float64)
+    try:
+        position = np.array(position_m, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        position = np.full(3, np.nan)
     position.flags.writeable = False
     if position.shape != (3,) or not np.isfinite(position).all():
         raise ValueError(f"position_m: expected three finite numbers, got {position_m!r}")

@@ -157,7 +157,7 @@ def test_a_recording_holds_the_frames_between_its_start_and_its_end(tmp_path):
 
 @pytest.mark.parametrize("wrong", [(0, 0), (0, 0, np.nan), "here"])
 def test_a_position_that_is_no_point_is_refused(wrong):
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match=r"^position_m: expected three finite numbers, got "):
         session().add_position("Vase", wrong)
 
 

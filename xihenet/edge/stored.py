@@ -69,7 +69,7 @@ def session_from_bytes(session_id: str, stored: bytes) -> Session:
             and isinstance(owner, str)
             and all(_HASH.fullmatch(hashed) for hashed in (*clients, owner or "0" * 64))
         )
-    except (TypeError, RecursionError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"session: expected its fields ({error})") from None
     if not is_right:
         raise ValueError("session: expected its fields, got others")
