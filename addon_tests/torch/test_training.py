@@ -258,6 +258,16 @@ def test_a_cache_is_the_same_twice_also_of_test_rooms_alone_and_is_kept(rooms, c
     assert len(lines) == n_lines > 0
 
 
+def test_what_a_killed_build_left_is_named(rooms, tmp_path):
+    (left := tmp_path / ".clouds.1.part").mkdir()
+    (tmp_path / ".other.1.part").mkdir()
+    lines = []
+    build_cache([rooms], tmp_path / "clouds", CacheSettings(N, only=("test",)), lines.append)
+    assert [line for line in lines if ".part" in line] == [
+        f"{left} is of another build, or left by one that was killed: delete it if none is running"
+    ]
+
+
 def test_rooms_of_two_data_sets_are_told_apart_and_the_same_room_twice_is_refused(rooms, tmp_path):
     settings, n_rooms = CacheSettings(N, "sphere", changes_per_pair=1, merged_per_position=1), 0
     for name, more in (("others", 1), ("same", 0)):

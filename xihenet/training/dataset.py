@@ -12,6 +12,7 @@ the network.
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import os
@@ -193,6 +194,8 @@ def build_cache(
     done = out / "settings.json"
     if done.exists() and json.loads(done.read_text(encoding="utf-8")) == wanted:
         return
+    for other in sorted(out.parent.glob(f".{glob.escape(out.name)}.*.part")):
+        progress(f"{other} is of another build, or left by one that was killed: delete it if none is running")
     # Of this process alone: two trainings may sample the same clouds at once.
     beside = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
