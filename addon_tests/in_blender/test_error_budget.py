@@ -28,13 +28,13 @@ from tiny_scenes import (
 from xihe_blender.capture import reference_probe
 from xihe_blender.capture.all_around import light_of_views, means_of_anchors, open_all_around, view_rotation
 from xihe_blender.capture.reference_probe import CONE, ProbeSettings, open_reference_probe
-from xihe_blender.capture.render import RenderSettings
+from xihe_blender.capture.render import MAX_SEED, RenderSettings
 from xihe_blender.capture.satin_probe import satin_ball_at
 from xihe_blender.errors import UserError
 from xihe_blender.io.budget_results import PARTS, BudgetResults
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.jobs import run_blocking
-from xihe_blender.previs.error_budget import error_budget, interval_of_mean
+from xihe_blender.previs.error_budget import SeedErrors, error_budget, interval_of_mean, over_seeds
 from xihe_blender.scene.virtual_objects import virtual_collection
 from xihenet.satin_ball import HALF_ANGLE, cone_factors, satin_factors
 from xihenet.sh_basis import per_coefficient
@@ -156,6 +156,14 @@ def room_around_a_ball(*lamps, n_frames=2, walls=0.5):
     return scene
 
 
+def test_a_part_that_some_seeds_do_not_have_gains_nothing_with_those():
+    seeds = [SeedErrors(1.0, 0.5, 0.4, {"order_2": 0.4}), SeedErrors(1.0, 0.5, 0.4, {"order_2": 0.4, "sensor": 0.3})]
+    for several in (seeds, seeds[::-1]):
+        parts = {part.name: part for part in over_seeds("Ball", (1,), several).parts}
+        assert parts["sensor"].state == "measured" and parts["sensor"].gain == pytest.approx(0.1)
+        assert parts["delay"].state == "not simulated"
+
+
 def test_a_lamp_far_above_white_in_view_puts_clipping_first(tmp_path):
     scene = room_around_a_ball(((0, 1.97, 0), (3, 0.02, 3), 40.0), walls=0.02)
     # `lattice` guesses how bright the lamp is, and may be right.
@@ -202,6 +210,7 @@ def test_a_lamp_that_no_camera_sees_comes_first_where_it_is_all_the_light(tmp_pa
         ({"estimator": "truth"}, {}, "choose another --estimator"),
         ({}, {"n_moments": 0}, "give --moments 1 or more"),
         ({}, {"n_seeds": 0}, "give --seeds 1 or more"),
+        ({"seed": MAX_SEED}, {"n_seeds": 2}, f"give --seed {MAX_SEED - 1} or less"),
     ],
 )
 def test_what_cannot_be_divided_is_told(tmp_path, wrong, options, said):

@@ -38,6 +38,7 @@ import bpy
 import numpy as np
 
 from xihe_blender.capture.all_around import light_of_views, means_of_anchors
+from xihe_blender.capture.render import MAX_SEED
 from xihe_blender.errors import UserError
 from xihe_blender.io.budget_results import PARTS, BudgetPart, BudgetResults, ObjectBudget
 from xihe_blender.io.folder_manifest import FolderManifest
@@ -121,6 +122,10 @@ def error_budget(
         raise UserError(f"an error cannot be measured in {n_moments} moments: give --moments 1 or more")
     if n_seeds < 1:
         raise UserError(f"an error cannot be measured with {n_seeds} seeds: give --seeds 1 or more")
+    if settings.seed + n_seeds - 1 > MAX_SEED:
+        raise UserError(
+            f"of {n_seeds} seeds the last is out of Cycles' range: give --seed {MAX_SEED + 1 - n_seeds} or less"
+        )
     if settings.estimator == "truth":
         raise UserError("the light of `truth` is rendered and has no error to divide: choose another --estimator")
     check_is_rendered(scene)
@@ -202,10 +207,12 @@ def over_seeds(name: str, moments: tuple[int, ...], seeds: Sequence[SeedErrors])
 
 def _part(name: str, seeds: Sequence[SeedErrors]) -> BudgetPart:
     error = fmean(one.error for one in seeds)
-    if name not in seeds[0].with_perfect:
+    if all(name not in one.with_perfect for one in seeds):
         return BudgetPart(name=name, state="not simulated", error=error, gain=0.0)
-    left = fmean(one.with_perfect[name] for one in seeds)
-    interval = interval_of_mean([one.error - one.with_perfect[name] for one in seeds])
+    # With a seed in which the phone does not have it, there is nothing to gain.
+    left_with = [one.with_perfect.get(name, one.error) for one in seeds]
+    left = fmean(left_with)
+    interval = interval_of_mean([one.error - of_one for one, of_one in zip(seeds, left_with, strict=True)])
     return BudgetPart(name=name, state="measured", error=left, gain=error - left, interval=interval)
 
 
