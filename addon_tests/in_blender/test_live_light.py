@@ -266,6 +266,11 @@ def test_export_light_has_moved_and_added_objects_also_from_the_lit_scene(scene,
     assert np.abs(np.reshape(of_lit["Ball"], (9, 3)) - at_run[0].light.sh).max() > 0.01
 
 
+def test_export_light_without_an_engine_says_what_to_give(scene):
+    with pytest.raises(RuntimeError, match=r"No engine is chosen: give target one of .*unity"):
+        bpy.ops.xihe.export_light()
+
+
 def test_in_the_lit_scene_the_panel_has_the_switch_of_the_room(scene, monkeypatch):
     assert bpy.ops.xihe.show_lit() == {"FINISHED"}
     monkeypatch.setattr(panels, "is_narrow", lambda _context: False)

@@ -174,6 +174,9 @@ class XIHE_OT_export_light(Action, bpy.types.Operator):
         from xihe_blender.io.run_lights import LightsAsked, lights_asked, write_lights
         from xihe_blender.io.run_results import read_results
 
+        if not self.target:  # A list that is made by a function has no default.
+            names = ", ".join(name for name, *_ in choices.platform_items(None, context))
+            raise UserError(f"no engine is chosen: give target one of {names}")
         scene, folder = context.scene, last_run_folder(context.scene)
         results = read_results(folder)
         # Beyond the path's ends, and between its frames, the light is that of the frame before.
