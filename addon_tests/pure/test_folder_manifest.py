@@ -112,6 +112,17 @@ def test_settings_differ_exactly_where_they_do(kept, wanted):
     assert set(named) == {name.replace("_", " ") for name in {*kept, *wanted} if kept.get(name) != wanted.get(name)}
 
 
+def test_files_of_two_folders_are_known_wherever_each_folder_lies(tmp_path):
+    def written(**folders):
+        files = [tmp_path / folder / "textures" / name for name, folder in folders.items()]
+        for file in files:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(file.name)
+        return contents_sha256(map(str, files))
+
+    assert written(sky="a", wood="b") == written(sky="d", wood="c") is not None
+
+
 def test_content_is_known_by_the_names_of_files_and_what_is_in_them(tmp_path):
     def written(**files):
         for name, content in files.items():

@@ -182,7 +182,8 @@ def contents_sha256(patterns: Iterable[str]) -> str | None:
     change and both ends stand for the content. None where there is no such file, or none that can be read.
     """
     states = {}
-    for path in sorted({path for pattern in patterns for path in matching(pattern)}):
+    # By the name first, then the nearest folder: in folders that were moved apart the order stays.
+    for path in sorted({path for pattern in patterns for path in matching(pattern)}, key=lambda path: path.parts[::-1]):
         with contextlib.suppress(OSError):
             states[path] = path.stat()
     are_too_many = sum(state.st_size for state in states.values()) > MOST_READ_BYTES
