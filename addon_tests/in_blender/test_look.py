@@ -4,6 +4,8 @@ import contextlib
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
@@ -20,6 +22,7 @@ from xihe_blender.capture.turned_camera import turned_camera
 from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.look_results import LookAway, LookResults, ObjectAdvice
+from xihe_blender.io.outputs import RunOutputs
 from xihe_blender.jobs import run_blocking
 from xihe_blender.previs.better_camera import (
     add_better_camera,
@@ -28,8 +31,8 @@ from xihe_blender.previs.better_camera import (
     remove_better_camera,
     save_better_path,
 )
-from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path
-from xihenet.camera_path.looks import LookSettings
+from xihe_blender.previs.better_path import THE_MAP, LookWishes, better_path, render_looks
+from xihenet.camera_path.looks import Look, LookSettings, turned_view
 
 
 def looked(scene, out, settings=CAPTURED, wishes=None):
@@ -104,6 +107,21 @@ def test_asking_again_costs_no_render(scene, out, verified):
         again = looked(scene, out, wishes=LookWishes(objects=("Ball",), is_verified=True))
     assert renders == [] and files_below(out / "work") == kept
     assert again.objects == verified[1]
+
+
+def test_a_look_that_two_objects_share_is_rendered_and_counted_once(scene, out, monkeypatch):
+    monkeypatch.setattr("xihe_blender.previs.better_path.open_scanner", lambda *_: contextlib.nullcontext(MagicMock()))
+    poses, kept = [], set()
+    capture = contextlib.nullcontext(lambda _frame, pose: poses.append(pose))
+    monkeypatch.setattr("xihe_blender.previs.better_path.turned_camera", lambda _scanner: capture)
+    monkeypatch.setattr("xihe_blender.previs.better_path.read_kept", lambda path, _read: path if path in kept else None)
+    monkeypatch.setattr("xihe_blender.previs.better_path.save_frame", lambda path, _frame: kept.add(path))
+    monkeypatch.setattr("xihe_blender.previs.better_path.load_frame", lambda path: path)
+    look, settings = Look(2, 60.0, 0.0, np.eye(4), turned_view(np.eye(4), 60.0, 0.0)), LookSettings()
+    captured = SimpleNamespace(run=MagicMock(outputs=RunOutputs(out)))
+    seen = run_blocking(render_looks(captured, [look, replace(look)], settings))
+    assert len(poses) == len(kept) == len(list(look.poses(settings)))
+    assert [len(frames) for frames in seen.values()] == [len(poses)]
 
 
 @pytest.mark.slow

@@ -295,6 +295,7 @@ def render_looks(
 ) -> Job[dict[str, list[RgbdFrame]]]:
     """A job: what the phone would see on each look, in order of time, by name; what is kept is not rendered."""
     run, folder = captured.run, captured.run.outputs.folder / "work"
+    looks = list({_name(look): look for look in looks}.values())  # Objects may have the same.
     wanted = [(look, k, pose) for look in looks for k, pose in enumerate(look.poses(settings))]
     paths = [folder / f"look_{_name(look)}_{settings.frame_step_deg:g}_{k}.exr" for look, k, _ in wanted]
     missing = [k for k, path in enumerate(paths) if read_kept(path, load_frame) is None]
