@@ -11,7 +11,7 @@ from xihe_blender.jobs import run_blocking
 from xihenet.formats import format_count
 
 SPACING = "distance between places, however many that makes; default: the smallest that --places allows"
-CLEARANCE = "height of a place above its surface; default: 0.1"
+CLEARANCE = "height of a place above its surface, without --height; default: 0.1"
 PLACES = "largest number of places; default: 1000"
 VERIFY = "places whose light probe is rendered, to say how far the map is right; default: 0"
 
