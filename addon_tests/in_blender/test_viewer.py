@@ -11,6 +11,7 @@ import subprocess
 import tempfile
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -31,7 +32,7 @@ from xihe_blender.jobs import run_blocking
 from xihe_blender.scene.blend_file import open_blend
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.viewer import page as module
-from xihe_blender.viewer.save import viewed_objects
+from xihe_blender.viewer.save import save_viewer, viewed_objects
 from xihenet.io.recording import load_frame
 from xihenet.light.platforms import Y_UP, coefficients_for, convention_of
 
@@ -225,6 +226,24 @@ def test_a_hidden_object_of_a_library_is_exported_beside_one_of_its_name(tmp_pat
     box(scene, "Ball", (0, 0, 0), (1, 1, 1))
     scene.view_layers[0].layer_collection.children["Xihe Virtual"].exclude = True
     assert material_of(viewed_objects(scene, [virtual.objects["Ball"]], [1])[0].glb) is not None
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_of_a_virtual_object_and_another_of_its_name_the_virtual_one_is_shown(tmp_path, monkeypatch, is_first):
+    walk()
+    library = saved(tmp_path / "library.blend")
+    scene = empty_scene()
+    (virtual,) = linked(library, "collections", "Xihe Virtual")
+    room = bpy.data.collections.new("Room")
+    for child in (virtual, room) if is_first else (room, virtual):
+        scene.collection.children.link(child)
+    room.objects.link(bpy.data.objects.new("Ball", bpy.data.meshes.new("Ball")))
+    shown, results = [], SimpleNamespace(scene=SimpleNamespace(file="lit.blend"), lights={"Ball": None})
+    monkeypatch.setattr("xihe_blender.viewer.save.viewed_frames", lambda *_: {1: None})
+    monkeypatch.setattr("xihe_blender.viewer.save.viewed_objects", lambda _scene, items, _frames: shown.extend(items))
+    monkeypatch.setattr("xihe_blender.viewer.save.viewer_page", lambda *_: "")
+    save_viewer(results, tmp_path, blend=saved(tmp_path / "lit.blend"))
+    assert [(item.name, item.library is not None) for item in shown] == [("Ball", True)]
 
 
 @pytest.mark.slow

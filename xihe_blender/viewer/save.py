@@ -20,6 +20,7 @@ from xihe_blender.scene.colour_management import in_rec709, is_rec709
 from xihe_blender.scene.estimation_positions import all_box_corners_m
 from xihe_blender.scene.shader_nodes import new_material
 from xihe_blender.scene.units import metres_per_unit
+from xihe_blender.scene.virtual_objects import virtual_objects
 from xihe_blender.viewer.page import TURNED, ViewedObject, viewed_frames, viewer_page
 from xihenet.formats import as_spelled, format_names
 from xihenet.light.platforms import Y_UP
@@ -45,7 +46,8 @@ def save_viewer(
     if not blend.is_file():
         raise UserError(f"there is no {blend}: name the .blend with the virtual objects by --from")
     scene = open_blend(blend)
-    there = {item.name: item for item in scene.objects}
+    # One that is linked may have the name of one in the file: the light is that of the virtual one.
+    there = {item.name: item for item in (*scene.objects, *virtual_objects(scene))}
     wanted = list(results.lights) if objects is None else as_spelled(objects, there)
     lacking = [name for name in wanted if name not in there]
     if unlit := [name for name in wanted if name in there and name not in results.lights]:
