@@ -199,6 +199,19 @@ def test_the_session_gives_the_light_that_a_run_finds_with_the_object_elsewhere(
                 np.testing.assert_allclose(found.sh[frame], probe["sh"], rtol=0, atol=1e-6)
 
 
+def test_what_the_phone_saw_and_is_gone_is_told_and_the_capture_not_taken_in_its_place(finished, tmp_path):
+    shutil.copytree(finished.outputs.folder, tmp_path, dirs_exist_ok=True)
+    outputs, content = RunOutputs(tmp_path), json.loads((tmp_path / "session.json").read_text())
+    name = outputs.relative(outputs.seen(2))
+    shutil.copy(outputs.capture(2), outputs.seen(2))
+    content["files"][content["files"].index(outputs.relative(outputs.capture(2)))] = name
+    (tmp_path / "session.json").write_text(json.dumps(content))
+    assert run_blocking(open_kept_session(tmp_path)).frames
+    outputs.seen(2).unlink()
+    with pytest.raises(UserError, match=f"gone or damaged .there is no {name}.: run again"):
+        run_blocking(open_kept_session(tmp_path))
+
+
 def test_captures_that_are_gone_are_told(finished, tmp_path):
     shutil.copytree(finished.outputs.folder, tmp_path, dirs_exist_ok=True)
     RunOutputs(tmp_path).capture(2).write_bytes(b"cut short")

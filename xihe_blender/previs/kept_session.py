@@ -43,7 +43,7 @@ from xihe_blender.previs.settings import PrevisSettings, load_estimators
 from xihenet.camera import unproject_frame
 from xihenet.camera_path.kept_path import FoundLight, KeptPath, SeenFrame
 from xihenet.camera_path.other_cores import find_light_on_all_cores
-from xihenet.io.recording import SessionFacts, load_frame
+from xihenet.io.recording import SessionFacts, load_frame, read_session
 from xihenet.light_change import LightFollowing
 from xihenet.records import ArrayF64
 from xihenet.trigger import TriggerSettings
@@ -98,6 +98,7 @@ def open_kept_session(folder: str | Path) -> Job[KeptSession]:
     captured = [entry.frame for entry in results.captured_frames]
     if not captured:
         raise UserError(f"the run in {folder} captured nothing: run again")
+    _check_is_all_there(outputs)
     of_run = results.settings
     return (yield from kept_session(outputs, _settings_of(results), of_run.reference_exposure, captured))
 
@@ -131,6 +132,16 @@ def kept_facts(run: PreparedRun) -> SessionFacts:
         trigger=run.settings.trigger_in_use,
         files=tuple(outputs.relative(seen if seen.exists() else capture) for seen, capture in paths),
     )
+
+
+def _check_is_all_there(outputs: RunOutputs) -> None:
+    """UserError where a file of the session is gone: a capture alone is not what a phone with flaws saw."""
+    try:
+        files = read_session(outputs.session).files if outputs.session.exists() else ()
+    except (OSError, ValueError) as error:
+        raise UserError(f"the session of the last run is damaged ({error}): run again") from error
+    if gone := [name for name in files if not (outputs.folder / name).exists()]:
+        raise UserError(f"the captures of the last run are gone or damaged (there is no {gone[0]}): run again")
 
 
 def _seen_frame(outputs: RunOutputs, frame: int, exposure: float, n_frames: int) -> SeenFrame:
