@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 from dataclasses import replace
+from importlib import resources
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,12 +16,13 @@ from tiny_scenes import saved
 
 from xihe_blender.apply.datablocks import LIT_SCENE
 from xihe_blender.compare.methods import Comparison
+from xihe_blender.errors import UserError
 from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import RunOutputs, write_json
-from xihe_blender.jobs import run_blocking
+from xihe_blender.jobs import Progress, run_blocking
 from xihe_blender.lab.batch.blender_process import write_result
 from xihe_blender.lab.batch.grid import BatchSettings, planned_units
-from xihe_blender.lab.batch.results import WORST_KINDS, FilesRead, read_result, result_file, worst_picture
+from xihe_blender.lab.batch.results import WORST_KINDS, BatchFolder, FilesRead, read_result, result_file, worst_picture
 from xihe_blender.lab.batch.unit import FACTORS, _record_frame, estimates_per_minute, evaluate_unit, render_s, step_ms
 from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 from xihe_blender.lab.workers.processes import module_command
@@ -51,6 +53,32 @@ def test_every_rule_of_a_run_can_be_a_batchs():
 def test_frames_that_only_one_of_the_phones_captures_count_among_what_was_rendered():
     slow, fast = ([SimpleNamespace(render_s=s) for s in seconds] for seconds in ((2.0, 0.0), (2.0, 3.0)))
     assert render_s([SimpleNamespace(frames=slow), SimpleNamespace(frames=fast)]) == 5.0
+
+
+@pytest.mark.parametrize("is_during", [False, True])
+def test_a_phone_whose_file_changes_during_a_batch_is_refused(tmp_path, monkeypatch, is_during):
+    profile, batch = tmp_path / "mine.toml", BatchFolder(tmp_path / "out")
+    original = (resources.files("xihenet.phone") / "profiles" / "ipad_pro_lidar.toml").read_text()
+    profile.write_text(original)
+    settings = replace(FEWER, phones=(str(profile),))
+    batch.manifest(settings).take()
+    unit, begun = batch.path / "units" / "walk", []
+
+    def edit():
+        profile.write_text(original.replace("rate_hz = 60", "rate_hz = 30"))
+
+    def evaluated(*_):
+        begun.append(True)
+        (unit / "work").mkdir(parents=True)
+        edit()
+        yield Progress(0, 1, "")
+
+    monkeypatch.setattr("xihe_blender.lab.batch.unit.evaluate_unit", evaluated)
+    if not is_during:
+        edit()
+    with pytest.raises(UserError, match="the file of a phone has changed since the batch began: put it back"):
+        write_result(tmp_path / "walk.blend", SEED, unit, settings, io.StringIO())
+    assert begun == [True] * is_during and not unit.exists()
 
 
 def test_what_the_first_frame_sets_up_is_no_part_of_a_step():

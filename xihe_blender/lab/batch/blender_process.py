@@ -26,7 +26,7 @@ from xihe_blender.io.json_records import as_json, from_json
 from xihe_blender.io.outputs import write_json
 from xihe_blender.jobs import Progress, run_blocking
 from xihe_blender.lab.batch.grid import BatchSettings
-from xihe_blender.lab.batch.results import read_result, result_file
+from xihe_blender.lab.batch.results import BatchFolder, read_result, result_file
 from xihe_blender.lab.workers.dask_workers import EXIT_CANNOT_BE_DONE
 
 
@@ -62,12 +62,19 @@ def write_result(scene: Path, seed: int, folder: Path, settings: BatchSettings, 
 
     if read_result(folder, scene) is not None:
         return
+    batch = BatchFolder(folder.resolve().parents[1])
+    batch.check_phones(settings)
     result_file(folder).unlink(missing_ok=True)  # One that is damaged: should this one fail, nobody reads it again.
     try:
         done = run_blocking(evaluate_unit(scene, folder, settings, seed), tell)
     except (OSError, UserError):
         if read_result(folder, scene) is not None:
             return
+        raise
+    try:
+        batch.check_phones(settings)
+    except UserError:
+        shutil.rmtree(folder, ignore_errors=True)  # It may be of both phones.
         raise
     write_json(result_file(folder), as_json(done))
     for intermediate in ("work", "radiance", "pictures"):

@@ -242,19 +242,32 @@ class BatchFolder:
 
     def manifest(self, settings: BatchSettings) -> FolderManifest:
         """That the folder is for such a batch. Scenes and seeds may be others."""
-        named = settings.named()
-        profiles = [from_json(PhoneUsed, as_json(load_profile(phone))) for phone in settings.phones]
         weights = weights_sha256(settings.estimators, settings.target)
         content = BatchManifest(
             format=FORMAT_VERSION,
             xihe=__version__,
             blender=blender_version(),
-            settings=named,
-            profiles=dict(zip(named.phones, profiles, strict=True)),
+            settings=settings.named(),
+            profiles=_phones_used(settings),
             weights=weights,
         )
         results = (self.path / "results.json", self.path / "report.html")
         return FolderManifest(self.path, self.path / "batch.json", "a batch", as_json(content), results)
+
+    def check_phones(self, settings: BatchSettings) -> None:
+        """UserError where the file of a phone is another than when the batch began."""
+        manifest = self.path / "batch.json"
+        if not manifest.exists():
+            return
+        try:
+            is_same = _phones_used(settings) == from_json(BatchManifest, read_json(manifest)).profiles
+        except ValueError:
+            is_same = False
+        if not is_same:
+            raise UserError(
+                "the file of a phone has changed since the batch began: put it back as it was and run the same command "
+                "again, or choose another folder for --out"
+            )
 
     def forget_what_made_nothing(self) -> None:
         """Free the folder for any batch if the last one has ended in it without making anything: all was refused."""
@@ -275,6 +288,11 @@ class BatchFolder:
         write_csv(self.path / "frames.csv", frames, FRAME_COLUMNS)
         write_csv(self.path / "units.csv", [vars(unit) for unit in results.units], UNIT_COLUMNS)
         write_json(self.path / "results.json", as_json(results))
+
+
+def _phones_used(settings: BatchSettings) -> dict[str, PhoneUsed]:
+    profiles = [from_json(PhoneUsed, as_json(load_profile(phone))) for phone in settings.phones]
+    return dict(zip(settings.named().phones, profiles, strict=True))
 
 
 def batch_results(
