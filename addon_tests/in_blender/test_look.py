@@ -189,6 +189,7 @@ def away(advice):
 def test_the_better_camera_goes_the_path_looks_away_and_comes_back(scene, away):
     scene.render.fps = 10
     camera, last = add_better_camera(scene, replace(away, frame=2))
+    assert camera.data.animation_data is None
     path = {frame: _pose(scene, scene.camera, frame) for frame in (1, 2, 3)}
     poses = {frame: _pose(scene, camera, frame) for frame in range(1, last + 1)}
     np.testing.assert_allclose(poses[1], path[1], atol=1e-4)
@@ -200,6 +201,30 @@ def test_the_better_camera_goes_the_path_looks_away_and_comes_back(scene, away):
     assert looking >= 10, "a second at 10 frames a second"
     speed = np.degrees(np.arccos(np.clip((ahead[1:] * ahead[:-1]).sum(axis=1), -1, 1))) * 10
     assert speed.max() < 120
+
+
+@pytest.mark.parametrize("is_zoom", [True, False])
+def test_the_better_camera_has_the_lens_of_the_path_and_holds_it_during_the_look(scene, away, is_zoom):
+    cameras, lenses = [scene.camera], (20.0, 35.0, 50.0)
+    if not is_zoom:
+        cameras += [phone(scene, (0, -1, 1), (0, 0, 0.85), name) for name in ("Second", "Third")]
+    for number, lens in enumerate(lenses):
+        data = cameras[0 if is_zoom else number].data
+        data.lens = lens
+        if is_zoom:
+            data.keyframe_insert("lens", frame=number + 1)
+        else:
+            scene.timeline_markers.new("", frame=number + 1).camera = cameras[number]
+    scene.frame_set(1)
+    with nothing_changes():
+        camera, last = add_better_camera(scene, replace(away, frame=2))
+        found = []
+        for frame in range(1, last + 1):
+            scene.frame_set(frame)
+            found.append(camera.evaluated_get(bpy.context.view_layer.depsgraph).data.lens)
+        scene.frame_set(1)
+        remove_better_camera()
+    np.testing.assert_allclose(found, [20.0] + [35.0] * (last - 2) + [50.0], rtol=1e-5)
 
 
 def test_remove_light_takes_the_better_camera_away(scene, away):

@@ -31,6 +31,9 @@ from xihenet.records import ArrayF64
 FOLLOWED = "xihe_followed"
 """Custom property of the better camera: the camera whose path it goes, which comes back where it was in its place."""
 
+LENS = ("lens", "shift_x", "shift_y", "sensor_width", "sensor_height")
+"""What a zoom or a switch to another camera changes."""
+
 
 def poses_with_look(path: Sequence[ArrayF64], index: int, away: LookAway, frames_per_s: float) -> list[ArrayF64]:
     """World_from_camera, (4, 4), of every frame: those of `path`, and after the `index`-th the look there and back.
@@ -59,11 +62,13 @@ def add_better_camera(scene: bpy.types.Scene, away: LookAway) -> tuple[bpy.types
     if away.frame not in frames:
         raise UserError(f"frame {away.frame} is outside the scene's range now: ask where to look again")
     with scene_kept(), working_scene(scene, "Xihe Path", RenderSettings((64, 48), samples=1)) as working:
-        path = [_pose_at(working, frame) for frame in frames]
-    poses = poses_with_look(path, frames.index(away.frame), away, scene.render.fps / scene.render.fps_base)
+        path, lenses = zip(*(_pose_and_lens(working, frame) for frame in frames), strict=True)
+    index = frames.index(away.frame)
+    poses = poses_with_look(path, index, away, scene.render.fps / scene.render.fps_base)
     remove_better_camera()
     data = scene.camera.data.copy()
     data.name = BETTER_PATH
+    data.animation_data_clear()  # Its action is that of the scene's own camera, where all keys would go.
     camera = bpy.data.objects.new(BETTER_PATH, data)
     camera[BETTER_PATH], camera[FOLLOWED] = away.frame, scene.camera
     scene.collection.objects.link(camera)
@@ -71,12 +76,18 @@ def add_better_camera(scene: bpy.types.Scene, away: LookAway) -> tuple[bpy.types
     keyed, poses_m = range(scene.frame_start, scene.frame_start + len(poses)), np.stack(poses)
     key_values(camera, "location", keyed, poses_m[:, :3, 3] / metres_per_unit(scene))
     key_values(camera, "rotation_quaternion", keyed, quaternions(poses_m[:, :3, :3]))
+    values = np.insert(np.stack(lenses), [index + 1] * (len(poses) - len(path)), lenses[index], axis=0)
+    if (values != [getattr(data, name) for name in LENS]).any():
+        for name, column in zip(LENS, values.T, strict=True):
+            key_values(data, name, keyed, column[:, None])
     return camera, keyed[-1]
 
 
-def _pose_at(scene: bpy.types.Scene, frame: int) -> ArrayF64:
+def _pose_and_lens(scene: bpy.types.Scene, frame: int) -> tuple[ArrayF64, ArrayF64]:
     scene.frame_set(frame)
-    return phone_camera(scene)[1]
+    pose = phone_camera(scene)[1]
+    data = scene.camera.evaluated_get(scene.view_layers[0].depsgraph).data
+    return pose, np.array([getattr(data, name) for name in LENS])
 
 
 def remove_better_camera() -> None:
@@ -86,6 +97,7 @@ def remove_better_camera() -> None:
         for scene in [scene for scene in bpy.data.scenes if scene.camera == camera]:
             scene.camera = camera.get(FOLLOWED)
         remove_animation(camera)
+        remove_animation(camera.data)
         bpy.data.cameras.remove(camera.data)  # With its data the object goes too.
 
 
