@@ -17,9 +17,8 @@ N_TRIES = 20
 """Ten a second, to take the lock."""
 
 
-def main(copy: Path, *packages: str) -> None:
+def main(copy: Path) -> None:
     """Do or resume the run that the folder of `copy` asks for."""
-    sys.path[:0] = [path for path in dict.fromkeys(packages) if path not in sys.path]
     import bpy
 
     from xihe_blender.addon.background_run import BackgroundRun, RunState
@@ -58,12 +57,7 @@ def main(copy: Path, *packages: str) -> None:
 
 if __name__ == "__main__":
     _copy, *_packages = sys.argv[sys.argv.index("--") + 1 :]
-    _code = 0
-    try:
-        main(Path(_copy), *_packages)
-    except Exception:  # noqa: BLE001  # Whatever it is, this Blender ends with it.
-        sys.excepthook(*sys.exc_info())
-        _code = 1
-    from xihe_blender.io.blender_output import leave_blender
+    sys.path[:0] = [path for path in dict.fromkeys(_packages) if path not in sys.path]
+    from xihe_blender.io.blender_output import exit_code_of, leave_blender
 
-    leave_blender(_code)
+    leave_blender(exit_code_of(lambda: main(Path(_copy))))

@@ -18,7 +18,7 @@ from typing import Any, NoReturn
 
 from xihe_blender.cli.progress import EXIT_INTERRUPTED, EXIT_USER_ERROR, notes_on
 from xihe_blender.errors import UserError, format_disk_error
-from xihe_blender.io.blender_output import blender_output_aside, leave_blender, open_closed_streams
+from xihe_blender.io.blender_output import blender_output_aside, exit_code_of, leave_blender, open_closed_streams
 from xihenet import __version__
 from xihenet.option_help import DefaultsHelp
 
@@ -97,13 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def command(arguments: Sequence[str] | None = None) -> NoReturn:
     """`main` as a program, which ends with its exit code, after an error of ours as well."""
-    try:
-        code = main(arguments)
-    except SystemExit as end:  # Of --help and --version.
-        code = end.code if isinstance(end.code, int) else 0
-    except Exception:  # noqa: BLE001  # Whatever it is, the process ends with it.
-        sys.excepthook(*sys.exc_info())
-        code = 1
+    code = exit_code_of(lambda: main(arguments))
     if "bpy" in sys.modules:
         leave_blender(code)
     sys.exit(code)

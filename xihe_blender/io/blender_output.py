@@ -12,7 +12,7 @@ import io
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -131,6 +131,22 @@ def close_stdout() -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.close(nowhere)
+
+
+def exit_code_of(work: Callable[[], object]) -> int:
+    """What a process that only does `work` ends with: the number it gives or ends itself with, 1 after an error.
+
+    The error is shown. None counts as 0, and Ctrl-C goes on.
+    """
+    try:
+        code = work()
+    except SystemExit as end:
+        code = end.code
+        return code if isinstance(code, int) else int(code is not None)
+    except Exception:  # noqa: BLE001  # Whatever it is, the process ends with it.
+        sys.excepthook(*sys.exc_info())
+        return 1
+    return code if isinstance(code, int) else 0
 
 
 def leave_blender(code: int) -> NoReturn:

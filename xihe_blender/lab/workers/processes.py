@@ -12,7 +12,6 @@ import os
 import runpy
 import sys
 import threading
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
@@ -65,18 +64,10 @@ def only_with_a_reader(pipe: int) -> Iterator[None]:
 
 def _run_module(paths: str, module: str, *arguments: str) -> NoReturn:
     """What a Blender that `module_command` started does."""
-    code = EXIT_CRASHED
     sys.path[:], sys.argv[:] = json.loads(paths), [module, *arguments]
-    try:
-        runpy.run_module(module, run_name="__main__")
-        code = 0
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except Exception:  # noqa: BLE001  # Whatever it is, the process ends with it.
-        traceback.print_exc()
-    from xihe_blender.io.blender_output import leave_blender
+    from xihe_blender.io.blender_output import exit_code_of, leave_blender
 
-    leave_blender(code)
+    leave_blender(exit_code_of(lambda: runpy.run_module(module, run_name="__main__")))
 
 
 if __name__ == "__main__":
